@@ -1,0 +1,1 @@
+"""Types of the C++ core; arrays are C-contiguous unless said otherwise."""

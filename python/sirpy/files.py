@@ -1,0 +1,53 @@
+"""Files that are either whole or not there: written to a temporary name, renamed when complete."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sirpy.errors import OutputError
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Yields a temporary path beside `path`; renamed to `path` when the block ends well, else removed.
+
+    Raises:
+        OutputError: the file cannot be written (no permission, no space left).
+    """
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, path)
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(
+            f"cannot write {path}: {error.strerror or error}; free some space or choose another "
+            "output folder, then run the same command again"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, value: Any) -> None:
+    with written_whole(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def fingerprint(*parts: Any) -> str:
+    """A hash of JSON-able values: equal inputs and options give equal fingerprints."""
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def file_identity(path: Path) -> tuple[str, int, int]:
+    """(name, bytes, time of last change in ns): what tells whether an input file has changed."""
+    status = path.stat()
+    return path.name, status.st_size, status.st_mtime_ns

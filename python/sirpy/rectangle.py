@@ -1,0 +1,105 @@
+"""Rectangles of whole pixels, and the grid that cuts a native image into sub-images.
+
+Pixel (x, y) is column x, row y, from the top-left; a rectangle holds x0 <= x < x0 + width. In the cameras'
+coordinates (centre of the top-left pixel at (0.5, 0.5)) recapture is the shift
+sub_from_native: (u, v) -> (u - x0, v - y0), exact under every camera model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sirpy.errors import InputError
+
+
+@dataclass(frozen=True, order=True)
+class Rectangle:
+    """Columns x0 .. x0 + width - 1 and rows y0 .. y0 + height - 1 of an image, in pixels."""
+
+    x0: int
+    y0: int
+    width: int
+    height: int
+
+    @classmethod
+    def from_corners(cls, x0: int, y0: int, x1: int, y1: int) -> Rectangle:
+        """The rectangle x0 <= x < x1, y0 <= y < y1; empty (zero size) where x1 <= x0 or y1 <= y0."""
+        return cls(x0, y0, max(0, x1 - x0), max(0, y1 - y0))
+
+    @property
+    def x1(self) -> int:
+        return self.x0 + self.width
+
+    @property
+    def y1(self) -> int:
+        return self.y0 + self.height
+
+    @property
+    def area(self) -> int:
+        return self.width * self.height
+
+    def padded(self, margin: int) -> Rectangle:
+        """This rectangle with `margin` more pixels on each side."""
+        return Rectangle(
+            self.x0 - margin, self.y0 - margin, self.width + 2 * margin, self.height + 2 * margin
+        )
+
+    def intersection(self, other: Rectangle) -> Rectangle:
+        """The pixels in both; empty (zero area) where there are none."""
+        return Rectangle.from_corners(
+            max(self.x0, other.x0),
+            max(self.y0, other.y0),
+            min(self.x1, other.x1),
+            min(self.y1, other.y1),
+        )
+
+    def contains(self, other: Rectangle) -> bool:
+        return (
+            self.x0 <= other.x0
+            and self.y0 <= other.y0
+            and other.x1 <= self.x1
+            and other.y1 <= self.y1
+        )
+
+    def slices_in(self, outer: Rectangle) -> tuple[slice, slice]:
+        """(rows, columns) of this rectangle in an array that holds the pixels of `outer`."""
+        if not outer.contains(self):
+            raise ValueError(f"{self} is not inside {outer}")
+        y, x = self.y0 - outer.y0, self.x0 - outer.x0
+        return slice(y, y + self.height), slice(x, x + self.width)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """`columns` x `rows` sub-images (the paper's I x J) that cover every native pixel once."""
+
+    columns: int
+    rows: int
+
+    def __post_init__(self) -> None:
+        if self.columns < 1 or self.rows < 1:
+            raise InputError(
+                f"a grid of {self.columns}x{self.rows} sub-images is not possible: "
+                "columns and rows must be at least 1"
+            )
+
+    def __str__(self) -> str:
+        return f"{self.columns}x{self.rows}"
+
+    def cores(self, width: int, height: int) -> Iterator[tuple[int, int, Rectangle]]:
+        """(row, column, core) of each sub-image, row by row; sizes differ by at most one pixel.
+
+        Raises:
+            InputError: the grid has more columns or rows than the image has pixels.
+        """
+        if self.columns > width or self.rows > height:
+            raise InputError(
+                f"a grid of {self} sub-images is larger than an image of {width}x{height} pixels: "
+                "use fewer columns or rows"
+            )
+        for row in range(self.rows):
+            y0, y1 = row * height // self.rows, (row + 1) * height // self.rows
+            for column in range(self.columns):
+                x0, x1 = column * width // self.columns, (column + 1) * width // self.columns
+                yield row, column, Rectangle.from_corners(x0, y0, x1, y1)

@@ -1,0 +1,288 @@
+"""The workspace: the one class that knows the folder (docs/formats.md); no other file joins its paths.
+
+    OUT/sir.json             native images, their sub-images, what was left out
+    OUT/stages.json          fingerprint of inputs and options of each stage: what makes resume safe
+    OUT/sfm/                 decimated photographs, database and model of structure from motion
+    OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, native resolution)
+    OUT/images/              the sub-images NAME_rRR_cCC.ext
+    OUT/sparse/              COLMAP model of the sub-images
+    OUT/views.json           sources, depth range and source windows of each sub-image
+    OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
+    OUT/fused.ply, OUT/report.html, OUT/run.json
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from sirpy.errors import InputError, OutputError
+from sirpy.files import write_json
+from sirpy.rectangle import Rectangle
+
+Pass = Literal["photometric", "geometric"]
+
+# A stage that has to be done again takes with it what later stages made of its output.
+_STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
+    "sparse": ("sfm",),
+    "cut": ("sir.json", "native", "images", "sparse"),
+    "views": ("views.json", "stereo/patch-match.cfg", "stereo/fusion.cfg"),
+    "stereo": (
+        "stereo/depth_maps",
+        "stereo/normal_maps",
+        "stereo/reason_maps",
+    ),
+    "fuse": ("fusion", "fused.ply"),
+    "report": ("report.html", "report"),
+}
+
+
+@dataclass(frozen=True)
+class SubImage:
+    """A rectangle of an undistorted native image, with the file that holds it.
+
+    `core` are the pixels it owns (every native pixel has exactly one owner), `stored` the pixels in the
+    file: the core and the overlap, clipped to the native image. Both in native pixels.
+    """
+
+    name: str
+    row: int
+    column: int
+    core: Rectangle
+    stored: Rectangle
+
+
+@dataclass(frozen=True)
+class NativeImage:
+    """An undistorted native image: size in pixels and the sub-images that tile it, row by row."""
+
+    name: str
+    width: int
+    height: int
+    sub_images: tuple[SubImage, ...]
+
+    @property
+    def rectangle(self) -> Rectangle:
+        return Rectangle(0, 0, self.width, self.height)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A photograph that could not be used, and why."""
+
+    name: str
+    reason: str
+
+
+class Workspace:
+    """Paths and indices of a workspace folder; nothing is created until something is written."""
+
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = Path(folder)
+
+    def __repr__(self) -> str:
+        return f"Workspace({str(self.folder)!r})"
+
+    # ---- paths
+    @property
+    def sfm(self) -> Path:
+        return self.folder / "sfm"
+
+    @property
+    def sfm_model(self) -> Path:
+        """The sparse model in native pixels (distorted cameras) that `sparse` makes."""
+        return self.sfm / "sparse"
+
+    @property
+    def native_model(self) -> Path:
+        return self.folder / "native"
+
+    @property
+    def images(self) -> Path:
+        return self.folder / "images"
+
+    @property
+    def sparse(self) -> Path:
+        return self.folder / "sparse"
+
+    @property
+    def views(self) -> Path:
+        return self.folder / "views.json"
+
+    @property
+    def stereo(self) -> Path:
+        return self.folder / "stereo"
+
+    def image(self, sub_image: SubImage) -> Path:
+        return self.images / sub_image.name
+
+    def depth_map(self, sub_image: SubImage, of_pass: Pass) -> Path:
+        return self.stereo / "depth_maps" / f"{sub_image.name}.{of_pass}.bin"
+
+    def normal_map(self, sub_image: SubImage, of_pass: Pass) -> Path:
+        return self.stereo / "normal_maps" / f"{sub_image.name}.{of_pass}.bin"
+
+    def reason_map(self, sub_image: SubImage) -> Path:
+        return self.stereo / "reason_maps" / f"{sub_image.name}.bin"
+
+    def fused_part(self, sub_image: SubImage) -> Path:
+        return self.folder / "fusion" / f"{sub_image.name}.npy"
+
+    @property
+    def fused(self) -> Path:
+        return self.folder / "fused.ply"
+
+    @property
+    def report(self) -> Path:
+        return self.folder / "report.html"
+
+    @property
+    def report_pictures(self) -> Path:
+        return self.folder / "report"
+
+    @property
+    def run(self) -> Path:
+        return self.folder / "run.json"
+
+    # ---- what was cut
+    def write_index(self, natives: list[NativeImage], left_out: list[LeftOut]) -> None:
+        """Writes sir.json."""
+        write_json(
+            self.folder / "sir.json",
+            {
+                "version": 1,
+                "images": [
+                    {
+                        "name": native.name,
+                        "width": native.width,
+                        "height": native.height,
+                        "sub_images": [
+                            {
+                                "name": sub.name,
+                                "row": sub.row,
+                                "column": sub.column,
+                                "core": _corners(sub.core),
+                                "stored": _corners(sub.stored),
+                            }
+                            for sub in native.sub_images
+                        ],
+                    }
+                    for native in natives
+                ],
+                "left_out": [{"name": out.name, "reason": out.reason} for out in left_out],
+            },
+        )
+
+    @cached_property
+    def _index(self) -> dict[str, Any]:
+        path = self.folder / "sir.json"
+        try:
+            index: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InputError(
+                f"{self.folder} is not a sirpy workspace (it has no sir.json): "
+                "run `sirpy cut` or `sirpy reconstruct` first"
+            ) from None
+        except ValueError as error:
+            raise InputError(f"{path} is damaged ({error}): delete it and cut again") from None
+        return index
+
+    @cached_property
+    def natives(self) -> tuple[NativeImage, ...]:
+        """The native images, in order of their names."""
+        return tuple(
+            NativeImage(
+                image["name"],
+                image["width"],
+                image["height"],
+                tuple(
+                    SubImage(
+                        sub["name"],
+                        sub["row"],
+                        sub["column"],
+                        Rectangle(*sub["core"]),
+                        Rectangle(*sub["stored"]),
+                    )
+                    for sub in image["sub_images"]
+                ),
+            )
+            for image in self._index["images"]
+        )
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        return tuple(LeftOut(out["name"], out["reason"]) for out in self._index["left_out"])
+
+    def sub_images(self) -> Iterator[tuple[NativeImage, SubImage]]:
+        for native in self.natives:
+            for sub_image in native.sub_images:
+                yield native, sub_image
+
+    # ---- stages
+    def begin_stage(self, stage: str, fingerprint: str) -> bool:
+        """Readies the folder for a stage; True when earlier output of the same inputs and options stays.
+
+        Output of other inputs or options is removed, with that of the later stages.
+        """
+        path = self.folder / "stages.json"
+        try:
+            known: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
+        except (FileNotFoundError, ValueError):
+            known = {}
+        if known.get(stage) == fingerprint:
+            return True
+        stages = list(_STAGE_OUTPUTS)
+        stale = stages[stages.index(stage) :]
+        for name in stale:
+            for output in _STAGE_OUTPUTS[name]:
+                _remove(self.folder / output)
+        self.__dict__.pop("_index", None)
+        self.__dict__.pop("natives", None)
+        kept = {name: value for name, value in known.items() if name not in stale}
+        write_json(path, {**kept, stage: fingerprint})
+        return False
+
+    def fingerprint_of(self, stage: str) -> str:
+        """The fingerprint that `stage` was begun with; empty when it never was."""
+        try:
+            known: dict[str, str] = json.loads(
+                (self.folder / "stages.json").read_text(encoding="utf-8")
+            )
+        except (FileNotFoundError, ValueError):
+            return ""
+        return known.get(stage, "")
+
+
+def check_writable(folder: Path) -> None:
+    """Raises OutputError unless `folder` exists, or can be made, and takes files. Leaves nothing behind."""
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    probe = existing / f".sirpy-{os.getpid()}.tmp"
+    try:
+        if not existing.is_dir():
+            raise NotADirectoryError(20, f"{existing} is not a folder")
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"the output folder {folder} cannot be written ({error.strerror}): "
+            "choose another with --output"
+        ) from error
+
+
+def _corners(rectangle: Rectangle) -> list[int]:
+    return [rectangle.x0, rectangle.y0, rectangle.width, rectangle.height]
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
