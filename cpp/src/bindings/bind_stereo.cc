@@ -1,5 +1,4 @@
-#include <array>
-#include <memory>
+#include <optional>
 
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
@@ -13,8 +12,6 @@ namespace py = pybind11;
 
 namespace sirpy {
 namespace {
-
-using Pose = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
 
 // A ViewWindow that keeps its arrays alive.
 struct OwnedViewWindow {
@@ -54,15 +51,6 @@ OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& ca
   owned.depth = std::move(depth);
   owned.normal = std::move(normal);
   return owned;
-}
-
-// Hands a result's array to numpy without a copy.
-template <typename T>
-py::array_t<T> ToArray(std::vector<T>&& values, std::vector<py::ssize_t> shape) {
-  auto owned = std::make_unique<std::vector<T>>(std::move(values));
-  const T* data = owned->data();
-  py::capsule owner(owned.release(), [](void* p) { delete static_cast<std::vector<T>*>(p); });
-  return py::array_t<T>(std::move(shape), data, owner);
 }
 
 py::tuple RunPatchMatch(const OwnedViewWindow& reference, const std::vector<OwnedViewWindow>& sources,

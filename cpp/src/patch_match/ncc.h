@@ -4,6 +4,7 @@
 // changes its area more than 4 times costs kWorstCost.
 #pragma once
 
+#include "depth_window.h"
 #include "patch_match/patch.h"
 
 namespace sirpy::patch_match::SIRPY_ISA {
@@ -86,8 +87,7 @@ SIRPY_FUNCTION Floats NccCost(const Level& level, const Group& group, int j, con
 }
 
 // Forward-backward error in reference pixels (Schoenberger et al., ECCV 2016, section 4.5): to the source,
-// onto the depth found there, and back. The source's inverse depth is interpolated between pixels of one
-// surface (exact on planes), and taken from the nearest pixel at its edges. -1 where the source has no depth.
+// onto the depth found there, and back. -1 where the source has no depth.
 SIRPY_FUNCTION Floats ForwardBackwardError(const Level& level, const Group& group, int j,
                                          const Warp& warp) {
   const SourceLevel& source = level.sources[j];
@@ -95,18 +95,8 @@ SIRPY_FUNCTION Floats ForwardBackwardError(const Level& level, const Group& grou
   for (int lane = 0; lane < kLanes; ++lane) {
     if (!warp.inside[lane]) continue;
     const float x = warp.x[lane], y = warp.y[lane];
-    const int ix = int(x), iy = int(y);
-    const float fx = x - float(ix), fy = y - float(iy);
-    const float* rho = source.inverse_depth + int64_t(iy) * source.width + ix;
-    const float r00 = rho[0], r10 = rho[1], r01 = rho[source.width], r11 = rho[source.width + 1];
-    float found = fy < 0.5f ? (fx < 0.5f ? r00 : r10) : (fx < 0.5f ? r01 : r11);
+    const float found = InterpolatedInverseDepth(source.inverse_depth, source.width, x, y);
     if (found <= 0) continue;
-    const float near = 0.01f * found;
-    if (__builtin_fabsf(r00 - found) < near && __builtin_fabsf(r10 - found) < near &&
-        __builtin_fabsf(r01 - found) < near && __builtin_fabsf(r11 - found) < near) {
-      const float top = r00 + fx * (r10 - r00), bottom = r01 + fx * (r11 - r01);
-      found = top + fy * (bottom - top);
-    }
     const double u = x + source.x0, v = y + source.y0;
     const double* a = source.back_a;
     const double* b = source.back_b;
