@@ -1,14 +1,14 @@
 """The workspace: the one class that knows the folder (docs/formats.md); no other file joins its paths.
 
-    OUT/sir.json             native images, their sub-images, what was left out
-    OUT/stages.json          fingerprint of inputs and options of each stage: what makes resume safe
-    OUT/sfm/                 decimated photographs, database and model of structure from motion
-    OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, native resolution)
-    OUT/images/              the sub-images NAME_rRR_cCC.ext
-    OUT/sparse/              COLMAP model of the sub-images
-    OUT/views.json           sources, depth range and source windows of each sub-image
-    OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
-    OUT/fused.ply, OUT/report.html, OUT/run.json
+OUT/sir.json             native images, their sub-images, what was left out
+OUT/stages.json          fingerprint of inputs and options of each stage: what makes resume safe
+OUT/sfm/                 decimated photographs, database and model of structure from motion
+OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, native resolution)
+OUT/images/              the sub-images NAME_rRR_cCC.ext
+OUT/sparse/              COLMAP model of the sub-images
+OUT/views.json           sources, depth range and source windows of each sub-image
+OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
+OUT/fused.ply, OUT/report.html, OUT/run.json
 """
 
 from __future__ import annotations
@@ -91,6 +91,10 @@ class Workspace:
 
     # ---- paths
     @property
+    def index(self) -> Path:
+        return self.folder / "sir.json"
+
+    @property
     def sfm(self) -> Path:
         return self.folder / "sfm"
 
@@ -153,8 +157,9 @@ class Workspace:
     # ---- what was cut
     def write_index(self, natives: list[NativeImage], left_out: list[LeftOut]) -> None:
         """Writes sir.json."""
+        self._forget_index()
         write_json(
-            self.folder / "sir.json",
+            self.index,
             {
                 "version": 1,
                 "images": [
@@ -181,7 +186,7 @@ class Workspace:
 
     @cached_property
     def _index(self) -> dict[str, Any]:
-        path = self.folder / "sir.json"
+        path = self.index
         try:
             index: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
@@ -229,6 +234,9 @@ class Workspace:
         """Readies the folder for a stage; True when earlier output of the same inputs and options stays.
 
         Output of other inputs or options is removed, with that of the later stages.
+
+        Raises:
+            OutputError: the folder holds something under the name of an output that no stage made.
         """
         path = self.folder / "stages.json"
         try:
@@ -241,12 +249,22 @@ class Workspace:
         stale = stages[stages.index(stage) :]
         for name in stale:
             for output in _STAGE_OUTPUTS[name]:
+                if name not in known and os.path.lexists(self.folder / output):
+                    raise OutputError(
+                        f"{self.folder / output} is in the way, and not of this workspace: "
+                        "choose another folder with --output, or move it away"
+                    )
+        for name in stale:
+            for output in _STAGE_OUTPUTS[name]:
                 _remove(self.folder / output)
-        self.__dict__.pop("_index", None)
-        self.__dict__.pop("natives", None)
+        self._forget_index()
         kept = {name: value for name, value in known.items() if name not in stale}
         write_json(path, {**kept, stage: fingerprint})
         return False
+
+    def _forget_index(self) -> None:
+        self.__dict__.pop("_index", None)
+        self.__dict__.pop("natives", None)
 
     def fingerprint_of(self, stage: str) -> str:
         """The fingerprint that `stage` was begun with; empty when it never was."""

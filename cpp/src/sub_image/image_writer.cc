@@ -1,0 +1,30 @@
+#include "sub_image/image_writer.h"
+
+#include <stdexcept>
+#include <string>
+
+#include "sub_image/jpeg_writer.h"
+#include "sub_image/png_writer.h"
+
+namespace sirpy {
+
+void WriterOptions::Validate() const {
+  if (jpeg_quality < 1 || jpeg_quality > 100) {
+    throw std::invalid_argument("jpeg_quality = " + std::to_string(jpeg_quality) +
+                                ": it must be between 1 and 100");
+  }
+}
+
+std::unique_ptr<ImageWriter> OpenImageWriter(const std::filesystem::path& path,
+                                             const ImageShape& shape,
+                                             const WriterOptions& options) {
+  options.Validate();
+  const std::string extension = path.extension().string();
+  if (extension == ".jpg" || extension == ".jpeg") {
+    return std::make_unique<JpegWriter>(path, shape, options.jpeg_quality);
+  }
+  if (extension == ".png") return std::make_unique<PngWriter>(path, shape);
+  throw std::invalid_argument(path.string() + " is neither .jpg nor .png");
+}
+
+}  // namespace sirpy

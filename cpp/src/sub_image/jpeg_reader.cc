@@ -1,0 +1,95 @@
+#include "sub_image/jpeg_reader.h"
+
+#include <cerrno>
+#include <cstring>
+#include <string>
+#include <vector>
+
+#include "error.h"
+#include "sub_image/jpeg_error.h"
+
+namespace sirpy {
+
+struct JpegReader::Decoder {
+  explicit Decoder(const std::filesystem::path& path)
+      : name(path.string()), file(std::fopen(path.c_str(), "rb")) {
+    if (file == nullptr) {
+      throw InputError("cannot open photograph " + name + ": " + std::strerror(errno));
+    }
+    info.err = errors.Install();
+    jpeg_create_decompress(&info);
+  }
+  ~Decoder() {
+    jpeg_destroy_decompress(&info);
+    std::fclose(file);
+  }
+
+  template <typename Call>
+  void Guard(Call call) {
+    GuardJpeg(errors, call, [this] {
+      throw InputError("photograph " + name + " is damaged (" + errors.message +
+                       "): replace it by a good copy, or take it out of the folder");
+    });
+  }
+
+  std::string name;
+  std::FILE* file;
+  JpegErrors errors;
+  jpeg_decompress_struct info = {};
+  bool started = false;
+};
+
+JpegReader::JpegReader(const std::filesystem::path& path)
+    : decoder_(std::make_unique<Decoder>(path)) {
+  jpeg_decompress_struct* info = &decoder_->info;
+  decoder_->Guard([info, file = decoder_->file] {
+    jpeg_stdio_src(info, file);
+    jpeg_read_header(info, TRUE);
+  });
+  if (info->num_components != 1 && info->num_components != 3) {
+    throw InputError("photograph " + decoder_->name + " has " +
+                     std::to_string(info->num_components) +
+                     " colour components (CMYK?): convert it to RGB or grey");
+  }
+  info->out_color_space = info->num_components == 3 ? JCS_RGB : JCS_GRAYSCALE;
+  shape_ = {static_cast<int64_t>(info->image_width), static_cast<int64_t>(info->image_height),
+            info->num_components};
+}
+
+JpegReader::~JpegReader() = default;
+
+void JpegReader::StartIfNeeded() {
+  if (decoder_->started) return;
+  decoder_->Guard([decoder = decoder_.get()] { jpeg_start_decompress(&decoder->info); });
+  decoder_->started = true;
+}
+
+void JpegReader::ReadRows(int64_t count, uint8_t* rows) {
+  StartIfNeeded();
+  decoder_->Guard([decoder = decoder_.get(), count, rows, bytes = shape_.RowBytes()] {
+    for (int64_t row = 0; row < count; ++row) {
+      JSAMPROW pointers[1] = {rows + row * bytes};
+      jpeg_read_scanlines(&decoder->info, pointers, 1);
+    }
+  });
+}
+
+void JpegReader::SkipRows(int64_t count) {
+  StartIfNeeded();
+  // With subsampled chroma, rows after a skip may differ from those of a plain read by a grey
+  // level.
+  if (decoder_->info.max_v_samp_factor == 1) {
+    decoder_->Guard([decoder = decoder_.get(), count] {
+      jpeg_skip_scanlines(&decoder->info, static_cast<JDIMENSION>(count));
+    });
+    return;
+  }
+  std::vector<uint8_t> row(shape_.RowBytes());
+  for (; count > 0; --count) ReadRows(1, row.data());
+}
+
+void JpegReader::Finish() {
+  decoder_->Guard([decoder = decoder_.get()] { jpeg_finish_decompress(&decoder->info); });
+}
+
+}  // namespace sirpy

@@ -1,0 +1,102 @@
+#include "sub_image/lens_map.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+namespace sirpy {
+namespace {
+
+// c0 + c1 t + c2 t^2 + c3 t^3 through p0 .. p3 at t = 0 .. 3.
+struct Cubic {
+  double c0, c1, c2, c3;
+
+  Cubic(double p0, double p1, double p2, double p3) {
+    const double d1 = p1 - p0;
+    const double d2 = p2 - 2 * p1 + p0;
+    const double d3 = p3 - 3 * p2 + 3 * p1 - p0;
+    c0 = p0;
+    c1 = d1 - d2 / 2 + d3 / 3;
+    c2 = (d2 - d3) / 2;
+    c3 = d3 / 6;
+  }
+
+  double operator()(double t) const { return c0 + t * (c1 + t * (c2 + t * c3)); }
+};
+
+// The first of the four nodes that are nearest to a position in units of nodes.
+int64_t Stencil(double position, int64_t nodes) {
+  return std::clamp<int64_t>(static_cast<int64_t>(std::floor(position)) - 1, 0, nodes - 4);
+}
+
+int32_t ToSubPixels(double position) {
+  // Adding a bias makes the conversion round downwards without floor().
+  constexpr double kBias = 1 << 29;
+  const double scaled = (position - 0.5) * LensMap::kSubPixels + 0.5;
+  return static_cast<int32_t>(std::min(std::max(scaled, -kBias), kBias) + kBias) - (1 << 29);
+}
+
+}  // namespace
+
+LensMap::LensMap(std::vector<double> nodes, int64_t node_rows, int64_t node_columns, int64_t width,
+                 int64_t height)
+    : nodes_(std::move(nodes)),
+      node_rows_(node_rows),
+      node_columns_(node_columns),
+      width_(width),
+      height_(height),
+      nodes_per_pixel_x_((node_columns - 1.0) / std::max<int64_t>(width - 1, 1)),
+      nodes_per_pixel_y_((node_rows - 1.0) / std::max<int64_t>(height - 1, 1)) {
+  if (node_rows < 4 || node_columns < 4 || width < 1 || height < 1 ||
+      static_cast<int64_t>(nodes_.size()) != node_rows * node_columns * 2) {
+    throw std::invalid_argument("a lens map needs at least 4 x 4 nodes of (x, y)");
+  }
+  if (!std::all_of(nodes_.begin(), nodes_.end(), [](double v) { return std::isfinite(v); })) {
+    throw std::invalid_argument("the nodes of a lens map must be finite");
+  }
+}
+
+std::vector<double> LensMap::NodeRow(double undistorted_y) const {
+  const double position = (undistorted_y - 0.5) * nodes_per_pixel_y_;
+  const int64_t first = Stencil(position, node_rows_);
+  const int64_t stride = 2 * node_columns_;
+  const double* p = &nodes_[first * stride];
+  std::vector<double> row(stride);
+  for (int64_t i = 0; i < stride; ++i) {
+    row[i] = Cubic(p[i], p[i + stride], p[i + 2 * stride], p[i + 3 * stride])(position - first);
+  }
+  return row;
+}
+
+Eigen::Vector2d LensMap::At(const Eigen::Vector2d& undistorted) const {
+  const std::vector<double> row = NodeRow(undistorted.y());
+  const double position = (undistorted.x() - 0.5) * nodes_per_pixel_x_;
+  const int64_t first = Stencil(position, node_columns_);
+  const double* p = &row[2 * first];
+  return {Cubic(p[0], p[2], p[4], p[6])(position - first),
+          Cubic(p[1], p[3], p[5], p[7])(position - first)};
+}
+
+void LensMap::Row(int64_t row, int32_t* x, int32_t* y) const {
+  const std::vector<double> nodes = NodeRow(row + 0.5);
+  int64_t begin = 0;
+  for (int64_t first = 0; first + 4 <= node_columns_; ++first) {
+    // The stencil that begins at `first` serves the pixels before node first + 2; the last serves
+    // the rest.
+    const int64_t end =
+        first + 4 == node_columns_
+            ? width_
+            : std::min<int64_t>(width_, std::ceil((first + 2) / nodes_per_pixel_x_));
+    const double* p = &nodes[2 * first];
+    const Cubic cubic_x(p[0], p[2], p[4], p[6]);
+    const Cubic cubic_y(p[1], p[3], p[5], p[7]);
+    for (int64_t column = begin; column < end; ++column) {
+      const double t = static_cast<int32_t>(column) * nodes_per_pixel_x_ - first;
+      x[column] = ToSubPixels(cubic_x(t));
+      y[column] = ToSubPixels(cubic_y(t));
+    }
+    begin = std::max(begin, end);
+  }
+}
+
+}  // namespace sirpy

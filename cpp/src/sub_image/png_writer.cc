@@ -1,0 +1,61 @@
+#include "sub_image/png_writer.h"
+
+#include <png.h>
+
+#include <csetjmp>
+#include <new>
+
+#include "sub_image/partial_file.h"
+
+namespace sirpy {
+
+struct PngWriter::Encoder {
+  explicit Encoder(const std::filesystem::path& path)
+      : file(path), png(png_create_write_struct(PNG_LIBPNG_VER_STRING, nullptr, OnError, nullptr)) {
+    if (png != nullptr) info = png_create_info_struct(png);
+    if (info == nullptr) throw std::bad_alloc();
+  }
+  ~Encoder() { png_destroy_write_struct(&png, &info); }
+
+  [[noreturn]] static void OnError(png_structp png, png_const_charp /*message*/) {
+    png_longjmp(png, 1);
+  }
+
+  template <typename Call>
+  void Guard(Call call) {
+    if (setjmp(png_jmpbuf(png)) != 0) file.Fail();
+    call();
+  }
+
+  PartialFile file;
+  png_structp png = nullptr;
+  png_infop info = nullptr;
+};
+
+PngWriter::PngWriter(const std::filesystem::path& path, const ImageShape& shape)
+    : encoder_(std::make_unique<Encoder>(path)) {
+  encoder_->Guard([encoder = encoder_.get(), &shape] {
+    png_structp png = encoder->png;
+    png_init_io(png, encoder->file.stream());
+    png_set_IHDR(png, encoder->info, static_cast<png_uint_32>(shape.width),
+                 static_cast<png_uint_32>(shape.height), 8,
+                 shape.channels == 3 ? PNG_COLOR_TYPE_RGB : PNG_COLOR_TYPE_GRAY, PNG_INTERLACE_NONE,
+                 PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
+    png_set_compression_level(png, 1);
+    png_set_filter(png, PNG_FILTER_TYPE_BASE, PNG_FILTER_SUB);
+    png_write_info(png, encoder->info);
+  });
+}
+
+PngWriter::~PngWriter() = default;
+
+void PngWriter::WriteRow(const uint8_t* row) {
+  encoder_->Guard([encoder = encoder_.get(), row] { png_write_row(encoder->png, row); });
+}
+
+void PngWriter::Finish() {
+  encoder_->Guard([encoder = encoder_.get()] { png_write_end(encoder->png, encoder->info); });
+  encoder_->file.Commit();
+}
+
+}  // namespace sirpy
