@@ -114,6 +114,7 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
   level.max_inverse_depth = float(1 / options.min_depth);
   level.seed = options.seed;
   level.level = number;
+  level.offers = number == 0 ? options.native_offers : 8;
   level.num_sources = int(sources.size());
   data.quads.resize(sources.size());
   data.inverse_depths.resize(sources.size());
@@ -270,7 +271,7 @@ PatchMatchResult GeometricPass(const ViewWindow& reference, const std::vector<Vi
   const std::vector<float> prior = Prior(data.level, given);
   data.level.prior = prior.data();
   PlaneArrays planes = Initialise(data.level, kernel, given);
-  Sweep(data.level, kernel, options.native_iterations, &planes);
+  Sweep(data.level, kernel, options.geometric_iterations, &planes);
   return Finish(data.level, kernel, &planes);
 }
 
@@ -283,6 +284,8 @@ void PatchMatchOptions::Validate() const {
   Require(coarsest_iterations >= 1, "coarsest_iterations", coarsest_iterations, ">= 1");
   Require(middle_iterations >= 1, "middle_iterations", middle_iterations, ">= 1");
   Require(native_iterations >= 1, "native_iterations", native_iterations, ">= 1");
+  Require(geometric_iterations >= 1, "geometric_iterations", geometric_iterations, ">= 1");
+  Require(native_offers >= 1 && native_offers <= 8, "native_offers", native_offers, "in [1, 8]");
   Require(top_views >= 1 && top_views <= kMaxSources, "top_views", top_views, "in [1, 16]");
   Require(color_sigma > 0, "color_sigma", color_sigma, "> 0");
   Require(space_sigma > 0, "space_sigma", space_sigma, "> 0");

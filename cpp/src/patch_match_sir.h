@@ -27,7 +27,9 @@ struct PatchMatchOptions {
                                  // 2^(levels - 1) pixels
   int coarsest_iterations = 4;   // sweeps at the coarsest level
   int middle_iterations = 3;     // at levels between
-  int native_iterations = 2;     // at native resolution
+  int native_iterations = 1;     // at native resolution
+  int geometric_iterations = 2;  // in the geometric pass
+  int native_offers = 5;         // planes of neighbours that a pixel tries there, of 8; all at coarser levels
   int top_views = 4;             // sources that a pixel is matched against, at most
   double color_sigma = 20;       // grey levels: bilateral weight
   double space_sigma = 3;        // pixels: bilateral weight

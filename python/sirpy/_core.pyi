@@ -66,6 +66,8 @@ class PatchMatchOptions:
     coarsest_iterations: int
     middle_iterations: int
     native_iterations: int
+    geometric_iterations: int
+    native_offers: int
     top_views: int
     color_sigma: float
     space_sigma: float

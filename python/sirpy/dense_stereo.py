@@ -47,7 +47,8 @@ class StereoOptions:
     max_cost: float = 0.6  # 1 - NCC: pixels above have no depth
     min_consistent: int = 2  # sources whose depth must agree
     top_views: int = 4  # sources that a pixel is matched against, at most
-    native_iterations: int = 2  # sweeps at native resolution
+    native_iterations: int = 1  # sweeps at native resolution, photometric pass
+    geometric_iterations: int = 2  # sweeps of the geometric pass
     seed: int = 0
     threads: int = 0  # 0: one for each core
 
@@ -57,6 +58,7 @@ class StereoOptions:
             "min_consistent": (0, 16),
             "top_views": (1, 16),
             "native_iterations": (1, 100),
+            "geometric_iterations": (1, 100),
             "threads": (0, 1024),
         }
         for name, (low, high) in bounds.items():

@@ -20,7 +20,7 @@ from sirpy.view_selection import SubImageViews, sub_image_views
 from sirpy.workspace import NativeImage, SubImage
 
 # Python with numpy, pycolmap and rasterio loaded, and the sparse scene.
-PROCESS_BYTES = 330_000_000
+PROCESS_BYTES = 150_000_000
 # The allocator and the kernel keep a little more than what is asked for.
 _SLACK = 1.05
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work

@@ -87,6 +87,8 @@ void BindStereo(py::module_& module) {
       .def_readwrite("coarsest_iterations", &PatchMatchOptions::coarsest_iterations)
       .def_readwrite("middle_iterations", &PatchMatchOptions::middle_iterations)
       .def_readwrite("native_iterations", &PatchMatchOptions::native_iterations)
+      .def_readwrite("geometric_iterations", &PatchMatchOptions::geometric_iterations)
+      .def_readwrite("native_offers", &PatchMatchOptions::native_offers)
       .def_readwrite("top_views", &PatchMatchOptions::top_views)
       .def_readwrite("color_sigma", &PatchMatchOptions::color_sigma)
       .def_readwrite("space_sigma", &PatchMatchOptions::space_sigma)

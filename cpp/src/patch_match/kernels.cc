@@ -209,14 +209,10 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
   const int first_of_row = (colour + level.x0 + level.y0 + y) & 1;
   for (int first = first_of_row; first < level.width; first += 2 * kLanes) {
     const Group group = LoadGroup(level, options, first, y);
-    Plane offered[8];
-    Ints valid[8];
+    const Offers offers = CollectOffers(level, *planes, group, level.offers);
     Floats costs[8][kMaxSources];
-    for (int i = 0; i < 8; ++i) {
-      offered[i] = OfferedPlane(level, *planes, group, i, &valid[i]);
-      SourceCosts(level, group, offered[i], costs[i]);
-    }
-    ViewWeights views = SelectViews(level, options, *planes, group, costs, valid, iteration);
+    for (int i = 0; i < offers.count; ++i) SourceCosts(level, group, offers.plane[i], costs[i]);
+    ViewWeights views = SelectViews(level, options, *planes, group, costs, offers.valid, offers.count, iteration);
     Plane best = LoadPlanes(level, *planes, group);
     const Ints none = NoView(level.num_sources, views);
     if (Any(none)) {  // no source pleases the neighbours: those that suit the present plane best
@@ -225,9 +221,10 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
       Replace(level.num_sources, none, BestViews(level.num_sources, 2, present), &views);
     }
     Cost best_cost = PlaneCost(level, options, group, views, best);
-    for (int i = 0; i < 8; ++i) {
-      const Cost cost = PlaneCost(level, options, group, views, offered[i], costs[i]);
-      Keep(valid[i] & (cost.value < best_cost.value), offered[i], cost, &best, &best_cost);
+    for (int i = 0; i < offers.count; ++i) {
+      const Plane& plane = offers.plane[i];
+      const Cost cost = PlaneCost(level, options, group, views, plane, costs[i]);
+      Keep(offers.valid[i] & (cost.value < best_cost.value), plane, cost, &best, &best_cost);
     }
     Refine(level, options, *planes, group, views, iteration, &best, &best_cost);
     Store(level, group, best, best_cost.value, &views, planes);

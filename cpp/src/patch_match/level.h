@@ -45,6 +45,7 @@ struct Level {
   uint64_t seed = 0;             // of the run, the image and the pass
   int level = 0;                 // 0 is native resolution
   bool coarsest = false;         // nothing is known yet but the range and the seeds
+  int offers = 8;                // planes of neighbours that are tried, of 8
   int stride() const { return width + 2 * kPatchRadius; }
 };
 

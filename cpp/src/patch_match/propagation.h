@@ -24,40 +24,57 @@ SIRPY_INLINE Plane LoadPlanes(const Level& level, const Planes& planes, const Gr
   return plane;
 }
 
-// The plane that region `region` (0-3 near, 4-7 far; up, down, left, right) offers to each lane, carried over
-// to the lane's pixel; valid is false where the region lies outside the window.
-SIRPY_INLINE Plane OfferedPlane(const Level& level, const Planes& planes, const Group& group,
-                                int region, Ints* valid) {
+// The planes that the regions offer to each lane, carried over to the lane's pixel, those of the lowest cost
+// first; `valid` is false where a region lies outside the window.
+struct Offers {
+  int count;
+  Plane plane[8];
+  Ints valid[8];
+};
+
+SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, const Group& group, int count) {
   static constexpr int kAlong[4][2] = {{0, -1}, {0, 1}, {-1, 0}, {1, 0}};
-  const int along_x = kAlong[region % 4][0], along_y = kAlong[region % 4][1];
-  const bool near = region < 4;
-  Plane plane{};
+  struct Offer {
+    float cost;
+    int dx, dy;
+  };
+  Offers offers{};
+  offers.count = count;
   for (int lane = 0; lane < kLanes; ++lane) {
-    float lowest = 3 * kWorstCost;
-    int best_dx = 0, best_dy = 0;
-    int64_t best = -1;
-    for (int i = 0; i < (near ? 7 : 11); ++i) {
-      const int* step = near ? kNear[i] : kFar[i];
-      const int dx = along_x * step[0] + along_y * step[1];
-      const int dy = along_y * step[0] + along_x * step[1];
-      const int x = group.column[lane] + dx, y = group.y + dy;
-      if (x < 0 || y < 0 || x >= level.width || y >= level.height) continue;
-      const int64_t at = int64_t(y) * level.width + x;
-      if (planes.cost[at] < lowest) {
-        lowest = planes.cost[at];
-        best = at;
-        best_dx = dx;
-        best_dy = dy;
+    const int column = group.column[lane];
+    const float* costs = planes.cost + int64_t(group.y) * level.width + column;
+    Offer sorted[8];
+    int found = 0;
+    for (int region = 0; region < 8; ++region) {
+      const int along_x = kAlong[region % 4][0], along_y = kAlong[region % 4][1];
+      const bool near = region < 4;
+      Offer best{3 * kWorstCost, 0, 0};
+      for (int i = 0; i < (near ? 7 : 11); ++i) {
+        const int* step = near ? kNear[i] : kFar[i];
+        const int dx = along_x * step[0] + along_y * step[1];
+        const int dy = along_y * step[0] + along_x * step[1];
+        const int x = column + dx, y = group.y + dy;
+        if (x < 0 || y < 0 || x >= level.width || y >= level.height) continue;
+        const float cost = costs[int64_t(dy) * level.width + dx];
+        if (cost < best.cost) best = {cost, dx, dy};
       }
+      if (best.dx == 0 && best.dy == 0) continue;
+      int at = found++;
+      for (; at > 0 && best.cost < sorted[at - 1].cost; --at) sorted[at] = sorted[at - 1];
+      sorted[at] = best;
     }
-    (*valid)[lane] = best >= 0 ? -1 : 0;
-    if (best < 0) continue;
-    plane.gx[lane] = planes.gx[best];
-    plane.gy[lane] = planes.gy[best];
-    plane.rho[lane] =
-        planes.rho[best] - planes.gx[best] * float(best_dx) - planes.gy[best] * float(best_dy);
+    for (int i = 0; i < found && i < count; ++i) {
+      const Offer& offer = sorted[i];
+      const int64_t at = int64_t(group.y + offer.dy) * level.width + column + offer.dx;
+      Plane& plane = offers.plane[i];
+      plane.gx[lane] = planes.gx[at];
+      plane.gy[lane] = planes.gy[at];
+      plane.rho[lane] =
+          planes.rho[at] - planes.gx[at] * float(offer.dx) - planes.gy[at] * float(offer.dy);
+      offers.valid[i][lane] = -1;
+    }
   }
-  return plane;
+  return offers;
 }
 
 // The gradient that the four direct neighbours suggest: central differences, one-sided at the border.

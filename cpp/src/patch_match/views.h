@@ -35,13 +35,13 @@ SIRPY_INLINE void KeepLargest(int num_sources, int count, ViewWeights* views) {
 SIRPY_INLINE ViewWeights SelectViews(const Level& level, const KernelOptions& options,
                                      const Planes& planes, const Group& group,
                                      const Floats costs[8][kMaxSources], const Ints valid[8],
-                                     int iteration) {
+                                     int num_neighbours, int iteration) {
   const float good = 0.8f * __builtin_expf(-float(iteration * iteration) / 90.f);
   const float middling = __builtin_expf(-good * good / (2 * 0.4f * 0.4f));
   ViewWeights views;
   for (int j = 0; j < level.num_sources; ++j) {
     Floats num_good{}, num_bad{}, sum{};
-    for (int i = 0; i < 8; ++i) {
+    for (int i = 0; i < num_neighbours; ++i) {
       const Floats cost = costs[i][j];
       const Ints is_good = valid[i] & (cost < good);
       num_good += Select(is_good, Splat(1), Floats{});
