@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 def jpeg_shape(path: Path) -> tuple[int, int, int]:
     """(width, height, channels) from the header. InputError when it is no grey or RGB JPEG."""
 
+def png_shape(path: Path) -> tuple[int, int, int, bool]:
+    """(width, height, channels, has an alpha channel, which is not read)."""
+
 class LensMap:
     """Positions in the photograph of the pixels of the undistorted image of `size` (width,
     height)."""
@@ -49,6 +52,16 @@ def recapture_jpeg(
     jpeg_quality: int,
 ) -> None:
     """All of a JPEG. Raises InputError (damaged), OutputError."""
+
+def recapture_png(
+    path: Path,
+    photograph: tuple[int, int, int],
+    lens: LensMap | None,
+    size: tuple[int, int],
+    files: Sequence[tuple[Path, int, int, int, int]],
+    jpeg_quality: int,
+) -> None:
+    """All of a PNG. Raises InputError (damaged), OutputError."""
 
 def read_window(
     path: Path, x0: int, y0: int, width: int, height: int, color: bool

@@ -1,6 +1,6 @@
 """Photographs: finding them, reading their rows, decimating them.
 
-JPEGs go through libjpeg-turbo, everything else through GDAL by bands of rows; never whole when it
+JPEG and PNG go through libjpeg-turbo and libpng, everything else through GDAL by bands of rows; never whole when it
 can be avoided. Pixels are 8-bit grey or RGB as stored: an EXIF orientation is not applied, since
 COLMAP solves cameras without it.
 """
@@ -91,9 +91,14 @@ def open_photograph(path: Path) -> Photograph:
         raise InputError(
             f"there is no photograph {path}: put it there, or take it out of the model"
         )
-    if _is_jpeg(path):
+    start = _first_bytes(path)
+    if start.startswith(b"\xff\xd8\xff"):
         width, height, channels = _core.jpeg_shape(path)
         return Photograph(path, width, height, channels, "JPEG")
+    if start.startswith(b"\x89PNG"):
+        width, height, channels, alpha = _core.png_shape(path)
+        note = f"{path.name}: its alpha channel is not used" if alpha else ""
+        return Photograph(path, width, height, channels, "PNG", note)
     with _raster(path) as raster:
         if any(kind != "uint8" for kind in raster.dtypes):
             bits = np.dtype(raster.dtypes[0]).itemsize * 8
@@ -101,7 +106,7 @@ def open_photograph(path: Path) -> Photograph:
                 f"photograph {path} has {bits}-bit samples, which are not supported yet: "
                 "convert it to 8 bit"
             )
-        if raster.colorinterp[0].name == "palette":
+        if raster.colorinterp[0].name == "palette" and not _is_grey(raster.colormap(1)):
             raise InputError(f"photograph {path} has a palette: convert it to RGB or grey")
         channels = 3 if raster.count >= 3 else 1
         note = ""
@@ -138,6 +143,9 @@ def recapture_photograph(
     if photograph.format == "JPEG":
         _core.recapture_jpeg(photograph.path, shape, lens, size, files, jpeg_quality)
         return
+    if photograph.format == "PNG":
+        _core.recapture_png(photograph.path, shape, lens, size, files, jpeg_quality)
+        return
     recapture = _core.Recapture(shape, lens, size, files, jpeg_quality)
     for rows in _bands(photograph):
         recapture.push(rows)
@@ -172,10 +180,14 @@ def decimate(path: Path, output: Path, max_size: int) -> float:
     return longest / max(size)
 
 
-def _is_jpeg(path: Path) -> bool:
+def _is_grey(colormap: dict[int, tuple[int, ...]]) -> bool:
+    return all(color[:3] == (index,) * 3 for index, color in colormap.items())
+
+
+def _first_bytes(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            return file.read(3) == b"\xff\xd8\xff"
+            return file.read(4)
     except OSError as error:
         raise InputError(f"cannot open photograph {path}: {error.strerror}") from error
 

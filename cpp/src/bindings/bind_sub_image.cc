@@ -11,6 +11,7 @@
 #include "bindings/bindings.h"
 #include "sub_image/jpeg_reader.h"
 #include "sub_image/lens_map.h"
+#include "sub_image/png_reader.h"
 #include "sub_image/read_window.h"
 #include "sub_image/recapture.h"
 
@@ -80,13 +81,39 @@ Array<uint8_t> ReadWindow(const fs::path& path, int64_t x0, int64_t y0, int64_t 
   return Array<uint8_t>(shape, pixels.data());
 }
 
+void DefRecaptureFile(py::module_& module, const char* name,
+                      void (*recapture)(const fs::path&, RecaptureTask)) {
+  module.def(
+      name,
+      [recapture](const fs::path& path, const Shape& photograph,
+                  const std::shared_ptr<LensMap>& lens, const Size& size,
+                  const std::vector<File>& files, int jpeg_quality) {
+        RecaptureTask task = MakeTask(photograph, lens, size, files, jpeg_quality);
+        py::gil_scoped_release release;
+        recapture(path, std::move(task));
+      },
+      py::arg("path"), py::arg("photograph"), py::arg("lens"), py::arg("size"), py::arg("files"),
+      py::arg("jpeg_quality"));
+}
+
 }  // namespace
 
 void BindSubImage(py::module_& module) {
-  module.def("jpeg_shape", [](const fs::path& path) {
-    const ImageShape shape = JpegReader(path).shape();
-    return Shape{shape.width, shape.height, shape.channels};
-  });
+  module.def(
+      "jpeg_shape",
+      [](const fs::path& path) {
+        const ImageShape shape = JpegReader(path).shape();
+        return Shape{shape.width, shape.height, shape.channels};
+      },
+      py::arg("path"));
+  module.def(
+      "png_shape",
+      [](const fs::path& path) {
+        const PngReader reader(path);
+        const ImageShape& shape = reader.shape();
+        return std::make_tuple(shape.width, shape.height, shape.channels, reader.has_alpha());
+      },
+      py::arg("path"));
 
   py::class_<LensMap, std::shared_ptr<LensMap>>(module, "LensMap")
       .def(py::init(&MakeLensMap), py::arg("nodes").noconvert(), py::arg("size"))
@@ -103,16 +130,8 @@ void BindSubImage(py::module_& module) {
       .def("push", &PushRows, py::arg("rows").noconvert())
       .def("finish", &Recapture::Finish, py::call_guard<py::gil_scoped_release>());
 
-  module.def(
-      "recapture_jpeg",
-      [](const fs::path& path, const Shape& photograph, const std::shared_ptr<LensMap>& lens,
-         const Size& size, const std::vector<File>& files, int jpeg_quality) {
-        RecaptureTask task = MakeTask(photograph, lens, size, files, jpeg_quality);
-        py::gil_scoped_release release;
-        RecaptureJpeg(path, std::move(task));
-      },
-      py::arg("path"), py::arg("photograph"), py::arg("lens"), py::arg("size"), py::arg("files"),
-      py::arg("jpeg_quality"));
+  DefRecaptureFile(module, "recapture_jpeg", &RecaptureJpeg);
+  DefRecaptureFile(module, "recapture_png", &RecapturePng);
 
   module.def("read_window", &ReadWindow, py::arg("path"), py::arg("x0"), py::arg("y0"),
              py::arg("width"), py::arg("height"), py::arg("color"));

@@ -9,11 +9,15 @@ namespace {
   std::longjmp(errors->jump, 1);
 }
 
-// Padding before a marker or after the last row, unknown revisions and colour transforms and odd
-// colour profiles leave the pixels whole; every other warning means that some are made up.
-bool MeansDamage(int code) {
-  switch (code) {
+// A camera may pad a marker with a few bytes; many are pixels that no longer fit.
+constexpr int kMostPaddingBytes = 64;
+
+// Padding, rows that were not asked for, unknown revisions and colour transforms and odd colour
+// profiles leave the pixels whole; every other warning means that some are made up.
+bool MeansDamage(const jpeg_error_mgr& error) {
+  switch (error.msg_code) {
     case JWRN_EXTRANEOUS_DATA:
+      return error.msg_parm.i[0] > kMostPaddingBytes;
     case JWRN_TOO_MUCH_DATA:
     case JWRN_JFIF_MAJOR:
     case JWRN_ADOBE_XFORM:
@@ -25,7 +29,7 @@ bool MeansDamage(int code) {
 }
 
 void EmitMessage(j_common_ptr info, int level) {
-  if (level < 0 && MeansDamage(info->err->msg_code)) ErrorExit(info);
+  if (level < 0 && MeansDamage(*info->err)) ErrorExit(info);
 }
 
 }  // namespace

@@ -18,7 +18,7 @@ struct PngReader::Decoder {
   explicit Decoder(const std::filesystem::path& path)
       : name(path.string()), file(std::fopen(path.c_str(), "rb")) {
     if (file == nullptr)
-      throw InputError("cannot open image " + name + ": " + std::strerror(errno));
+      throw InputError("cannot open photograph " + name + ": " + std::strerror(errno));
     png = png_create_read_struct(PNG_LIBPNG_VER_STRING, this, OnError, OnWarning);
     if (png != nullptr) info = png_create_info_struct(png);
     if (info == nullptr) throw std::bad_alloc();
@@ -38,8 +38,8 @@ struct PngReader::Decoder {
   template <typename Call>
   void Guard(Call call) {
     if (setjmp(png_jmpbuf(png)) != 0) {
-      throw InputError("image " + name + " is damaged (" + message +
-                       "): delete it and run the same command again");
+      throw InputError("photograph " + name + " is damaged (" + message +
+                       "): replace it by a good copy, or take it out of the folder");
     }
     call();
   }
@@ -59,15 +59,23 @@ PngReader::PngReader(const std::filesystem::path& path)
     png_init_io(png, file);
     png_read_info(png, info);
   });
-  const int channels = png_get_channels(png, info);
-  if (png_get_bit_depth(png, info) != 8 || (channels != 1 && channels != 3) ||
-      png_get_color_type(png, info) == PNG_COLOR_TYPE_PALETTE ||
-      png_get_interlace_type(png, info) != PNG_INTERLACE_NONE) {
-    throw InputError("image " + decoder_->name +
-                     " is not a PNG of 8-bit grey or RGB without interlacing: convert it");
+  has_alpha_ = (png_get_color_type(png, info) & PNG_COLOR_MASK_ALPHA) != 0;
+  if (png_get_bit_depth(png, info) > 8) {
+    throw InputError("photograph " + decoder_->name +
+                     " has 16-bit samples, which are not supported yet: convert it to 8 bit");
   }
+  if (png_get_interlace_type(png, info) != PNG_INTERLACE_NONE) {
+    throw InputError("photograph " + decoder_->name +
+                     " is an interlaced PNG: save it without interlacing");
+  }
+  decoder_->Guard([png, info] {
+    png_set_palette_to_rgb(png);
+    png_set_expand_gray_1_2_4_to_8(png);
+    png_set_strip_alpha(png);
+    png_read_update_info(png, info);
+  });
   shape_ = {static_cast<int64_t>(png_get_image_width(png, info)),
-            static_cast<int64_t>(png_get_image_height(png, info)), channels};
+            static_cast<int64_t>(png_get_image_height(png, info)), png_get_channels(png, info)};
 }
 
 PngReader::~PngReader() = default;
@@ -81,6 +89,10 @@ void PngReader::ReadRows(int64_t count, uint8_t* rows) {
 void PngReader::SkipRows(int64_t count) {
   std::vector<uint8_t> row(shape_.RowBytes());
   for (; count > 0; --count) ReadRows(1, row.data());
+}
+
+void PngReader::Finish() {
+  decoder_->Guard([decoder = decoder_.get()] { png_read_end(decoder->png, nullptr); });
 }
 
 }  // namespace sirpy

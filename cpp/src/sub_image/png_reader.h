@@ -1,4 +1,5 @@
-// Reading a PNG row by row: 8-bit grey or RGB, not interlaced, as PngWriter makes them.
+// Reading a PNG row by row as 8-bit grey or RGB: a palette is looked up, an alpha channel passed
+// over. Not interlaced, since the rows of such a file are only known at its end.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +12,8 @@ namespace sirpy {
 
 class PngReader {
  public:
-  // Reads the header. Throws InputError when the file is missing or is not such a PNG.
+  // Reads the header. Throws InputError when the file is missing or no such PNG (16-bit,
+  // interlaced).
   explicit PngReader(const std::filesystem::path& path);
   ~PngReader();
 
@@ -23,10 +25,16 @@ class PngReader {
   // Passes over `count` rows.
   void SkipRows(int64_t count);
 
+  // After the last row: throws InputError when the end of the file is damaged.
+  void Finish();
+
+  bool has_alpha() const { return has_alpha_; }
+
  private:
   struct Decoder;
   std::unique_ptr<Decoder> decoder_;
   ImageShape shape_;
+  bool has_alpha_ = false;
 };
 
 }  // namespace sirpy

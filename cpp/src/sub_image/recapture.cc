@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <stdexcept>
-#include <string>
 #include <utility>
 
 #include "error.h"
 #include "sub_image/jpeg_reader.h"
+#include "sub_image/png_reader.h"
 #include "sub_image/shrink.h"
 #include "sub_image/warp.h"
 
@@ -14,6 +14,24 @@ namespace sirpy {
 namespace {
 
 constexpr int64_t kBlockRows = 64;
+
+template <typename Reader>
+void RecaptureAll(Reader& photograph, RecaptureTask task) {
+  const ImageShape shape = photograph.shape();
+  if (shape.width != task.photograph.width || shape.height != task.photograph.height ||
+      shape.channels != task.photograph.channels) {
+    throw InputError("a photograph has changed while it was read: run the same command again");
+  }
+  Recapture recapture(std::move(task));
+  std::vector<uint8_t> rows(kBlockRows * shape.RowBytes());
+  for (int64_t row = 0; row < shape.height; row += kBlockRows) {
+    const int64_t count = std::min(kBlockRows, shape.height - row);
+    photograph.ReadRows(count, rows.data());
+    recapture.Push(rows.data(), count);
+  }
+  photograph.Finish();
+  recapture.Finish();
+}
 
 // photograph -> warp -> shrink -> files, without the steps that have nothing to do.
 std::unique_ptr<RowSink> BuildChain(RecaptureTask task) {
@@ -51,20 +69,12 @@ void Recapture::Finish() {
 
 void RecaptureJpeg(const std::filesystem::path& path, RecaptureTask task) {
   JpegReader photograph(path);
-  const ImageShape shape = photograph.shape();
-  if (shape.width != task.photograph.width || shape.height != task.photograph.height ||
-      shape.channels != task.photograph.channels) {
-    throw InputError("photograph " + path.string() + " has changed while it was read: run again");
-  }
-  Recapture recapture(std::move(task));
-  std::vector<uint8_t> rows(kBlockRows * shape.RowBytes());
-  for (int64_t row = 0; row < shape.height; row += kBlockRows) {
-    const int64_t count = std::min(kBlockRows, shape.height - row);
-    photograph.ReadRows(count, rows.data());
-    recapture.Push(rows.data(), count);
-  }
-  photograph.Finish();
-  recapture.Finish();
+  RecaptureAll(photograph, std::move(task));
+}
+
+void RecapturePng(const std::filesystem::path& path, RecaptureTask task) {
+  PngReader photograph(path);
+  RecaptureAll(photograph, std::move(task));
 }
 
 }  // namespace sirpy

@@ -43,7 +43,9 @@ class Recapture {
   int64_t received_ = 0;
 };
 
-// All of a JPEG. Throws InputError when it is damaged or has another shape than the task says.
+// All of a JPEG or PNG. Throw InputError when it is damaged or has another shape than the task
+// says.
 void RecaptureJpeg(const std::filesystem::path& path, RecaptureTask task);
+void RecapturePng(const std::filesystem::path& path, RecaptureTask task);
 
 }  // namespace sirpy

@@ -1,0 +1,197 @@
+import os
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from sirpy.errors import InputError, OutputError
+from sirpy.photographs import (
+    check_names,
+    decimate,
+    find_photographs,
+    open_photograph,
+    photograph_size,
+    recapture_photograph,
+)
+from sub_image_scenes import noise, read_image, write_image
+
+
+def write_raster(path: Path, bands: np.ndarray, **options: object) -> None:
+    count, height, width = bands.shape
+    with (
+        rasterio.Env(GDAL_PAM_ENABLED=False),
+        rasterio.open(
+            path, "w", width=width, height=height, count=count, dtype=bands.dtype, **options
+        ) as raster,
+    ):
+        raster.write(bands)
+
+
+def copied(path: Path, folder: Path) -> np.ndarray:
+    """The pixels as the C++ core takes them from `path`, through a lossless file."""
+    photograph = open_photograph(path)
+    size = photograph.width, photograph.height
+    output = folder / f"{path.name}.copied.png"
+    recapture_photograph(photograph, None, size, [(output, 0, 0, *size)], 95)
+    return read_image(output)
+
+
+def test_finds_photographs_by_extension_in_all_folders(tmp_path: Path) -> None:
+    for name in ["b/2.JPG", "b/10.jpeg", "a.tif", "c/d/e.Png", "notes.txt", ".hidden.jpg"]:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "c" / "round").symlink_to(tmp_path, target_is_directory=True)
+    (tmp_path / "linked.jpg").symlink_to(tmp_path / "b" / "2.JPG")
+    assert find_photographs(tmp_path) == [
+        "a.tif",
+        "b/10.jpeg",
+        "b/2.JPG",
+        "c/d/e.Png",
+        "linked.jpg",
+    ]
+
+
+def test_missing_and_empty_folders_are_errors(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no folder"):
+        find_photographs(tmp_path / "absent")
+    with pytest.raises(InputError, match="holds no photographs"):
+        find_photographs(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "name", ["/etc/a.jpg", "../a.jpg", "a/../../b.jpg", "C:\\a.jpg", "..\\a.jpg", "", "a\nb.jpg"]
+)
+def test_names_that_leave_the_folder_are_refused(name: str) -> None:
+    check_names(["a.jpg", "b/c d.jpg", "..a.jpg"])
+    with pytest.raises(InputError):
+        check_names(["a.jpg", name])
+
+
+@pytest.mark.parametrize("shape", [(70, 90), (70, 90, 3)])
+@pytest.mark.parametrize("extension", ["png", "tif", "bmp"])
+def test_rows_of_every_format_are_the_pixels(
+    tmp_path: Path, shape: tuple[int, ...], extension: str
+) -> None:
+    pixels = noise(shape)
+    path = tmp_path / f"a.{extension}"
+    write_image(path, pixels)
+    assert photograph_size(path) == (90, 70)
+    np.testing.assert_array_equal(copied(path, tmp_path), pixels)
+
+
+def test_tiled_tiff_is_read_by_rows_of_tiles(tmp_path: Path) -> None:
+    pixels = noise((3, 150, 100))
+    write_raster(tmp_path / "a.tif", pixels, tiled=True, blockxsize=32, blockysize=32)
+    np.testing.assert_array_equal(copied(tmp_path / "a.tif", tmp_path), pixels.transpose(1, 2, 0))
+
+
+def test_alpha_is_left_out_and_said_so(tmp_path: Path) -> None:
+    pixels = noise((4, 20, 30))
+    for name, note in (("a.png", "alpha channel"), ("a.tif", "first three bands of 4")):
+        write_raster(tmp_path / name, pixels)
+        assert note in open_photograph(tmp_path / name).note
+        np.testing.assert_array_equal(
+            copied(tmp_path / name, tmp_path), pixels[:3].transpose(1, 2, 0)
+        )
+
+
+def test_16_bit_is_refused(tmp_path: Path) -> None:
+    for name in ("a.tif", "a.png"):
+        write_raster(tmp_path / name, noise((1, 20, 30)).astype(np.uint16))
+        with pytest.raises(InputError, match="16-bit samples, which are not supported yet"):
+            photograph_size(tmp_path / name)
+
+
+@pytest.mark.parametrize("extension", ["jpg", "png", "tif"])
+def test_damage_is_found(tmp_path: Path, extension: str) -> None:
+    path = tmp_path / f"a.{extension}"
+    write_image(path, noise((300, 200, 3)))
+    whole = path.read_bytes()
+    output = tmp_path / "small.jpg"
+    for size in (len(whole) // 2, len(whole) - len(whole) // 20, 0):
+        path.write_bytes(whole[:size])
+        with pytest.raises(InputError, match=str(path)):
+            decimate(path, output, 1000)
+    assert os.listdir(tmp_path) == [path.name]
+    with pytest.raises(InputError, match="there is no photograph"):
+        decimate(tmp_path / "absent.jpg", output, 100)
+
+
+def test_random_bytes_inside_a_jpeg_are_found(tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    write_image(path, noise((300, 200, 3)))
+    damaged = bytearray(path.read_bytes())
+    middle = len(damaged) // 2
+    damaged[middle : middle + 512] = noise((512,)).tobytes()
+    path.write_bytes(bytes(damaged))
+    with pytest.raises(InputError, match="damaged"):
+        decimate(path, tmp_path / "small.jpg", 100)
+
+
+def area_mean(pixels: np.ndarray, length: int) -> np.ndarray:
+    """Along the first axis, in exact fractions."""
+    size = len(pixels)
+    weights = np.array(
+        [
+            [
+                max(
+                    Fraction(0),
+                    min(Fraction((i + 1) * size, length), j + 1)
+                    - max(Fraction(i * size, length), j),
+                )
+                for j in range(size)
+            ]
+            for i in range(length)
+        ]
+    )
+    return np.einsum("ij,j...->i...", weights, pixels) * Fraction(length, size)
+
+
+@pytest.mark.parametrize("size", [(7, 5), (13, 9), (19, 11), (1, 1)])
+def test_shrinking_is_the_mean_over_the_footprint(tmp_path: Path, size: tuple[int, int]) -> None:
+    pixels = noise((11, 19, 3))
+    write_image(tmp_path / "a.png", pixels)
+    output = tmp_path / "small.png"
+    photograph = open_photograph(tmp_path / "a.png")
+    recapture_photograph(photograph, None, size, [(output, 0, 0, *size)], 95)
+    exact = area_mean(pixels.astype(object), size[1])
+    exact = area_mean(exact.transpose(1, 0, 2), size[0]).transpose(1, 0, 2)
+    np.testing.assert_array_equal(read_image(output), np.floor(exact + Fraction(1, 2)).astype(int))
+
+
+def test_decimation_fits_the_longest_side(tmp_path: Path) -> None:
+    y, x = np.mgrid[0:200, 0:301]
+    pixels = np.stack([x * 255 // 300, y * 255 // 199, (x + y) * 255 // 499], -1).astype(np.uint8)
+    write_image(tmp_path / "a.png", pixels)
+    factor = decimate(tmp_path / "a.png", tmp_path / "deep" / "small.jpg", 100)
+    assert factor == 301 / 100
+    small = read_image(tmp_path / "deep" / "small.jpg")
+    assert small.shape == (66, 100, 3)
+    # Of a plane the mean over a footprint is the value at its middle.
+    assert np.abs(small[33, 50] - pixels[100:101, 151:153].mean(axis=(0, 1))).max() < 3
+    assert np.abs(small[5, 90] - pixels[16:17, 271:273].mean(axis=(0, 1))).max() < 3
+    assert decimate(tmp_path / "a.png", tmp_path / "same.jpg", 301) == 1
+    assert photograph_size(tmp_path / "same.jpg") == (301, 200)
+
+
+def test_a_folder_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png", noise((20, 30)))
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot write"):
+        decimate(tmp_path / "a.png", tmp_path / "file" / "small.jpg", 100)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_an_output_error(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png", noise((200, 300)))
+    for name in ("small.jpg", "small.png"):
+        # What the writer opens is the temporary name; here it leads to a disk without space.
+        temporary = tmp_path / f".small.{os.getpid()}.tmp.{name[-3:]}"
+        temporary.symlink_to("/dev/full")
+        photograph = open_photograph(tmp_path / "a.png")
+        with pytest.raises(OutputError, match="No space left on device; free some space"):
+            recapture_photograph(
+                photograph, None, (300, 200), [(tmp_path / name, 0, 0, 300, 200)], 95
+            )
+        assert not (tmp_path / name).exists()
