@@ -11,15 +11,8 @@ MISSING_COLOUR = (38, 40, 44)
 
 
 def encoded_jpeg(image: NDArray[np.uint8], quality: int = 85) -> bytes:
-    """A JPEG file of an RGB array (height, width, 3); full chroma from quality 90."""
-    full_colour = quality >= 90
-    return _encoded(
-        image,
-        driver="JPEG",
-        quality=quality,
-        photometric="YCBCR",
-        JPEG_SUBSAMPLE="444" if full_colour else "420",
-    )
+    """A JPEG file of an RGB array (height, width, 3)."""
+    return _encoded(image, driver="JPEG", quality=quality)
 
 
 def encoded_png(image: NDArray[np.uint8]) -> bytes:
@@ -47,17 +40,13 @@ def _encoded(image: NDArray[np.uint8], driver: str, **options: object) -> bytes:
         return bytes(memory.getbuffer())
 
 
-def decimated(array: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    """Every `factor`-th pixel of a map, from the middle of each square of pixels."""
-    return array[factor // 2 :: factor, factor // 2 :: factor]
-
-
 def depth_colours(depth: NDArray[np.float32], nearest: float, farthest: float) -> NDArray[np.uint8]:
     """RGB (height, width, 3) of a depth map: near is warm, far is cold; missing (<= 0) is dark
     grey.
     """
     position = np.clip((farthest - depth) / max(farthest - nearest, 1e-12), 0, 1)
-    colours = turbo(position)
+    # Without the two ends of the map, which are as dark as the missing pixels.
+    colours = turbo(0.1 + 0.83 * position)
     colours[~(depth > 0)] = MISSING_COLOUR
     return colours
 

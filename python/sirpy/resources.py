@@ -19,7 +19,8 @@ class Meter:
     that. Memory is the sum of the proportional set sizes (PSS: shared pages are counted once) of
     all processes, sampled every 0.1 s. A process of many gigabytes is sampled less often, since the
     kernel walks its pages; the high-water mark of this process, where the kernel lets us reset it,
-    catches peaks between two samples.
+    catches peaks between two samples. That mark is the process's only one: of nested meters the
+    outer may miss a short peak that the inner sees.
     """
 
     def __init__(self) -> None:

@@ -63,16 +63,25 @@ def read_map_window(
     channels = 1 if kind == "depth" else 3
     window = np.empty((channels, rectangle.height, rectangle.width), np.float32)
     for sub, part in _parts(native, rectangle):
-        path = path_of(sub, of_pass)
-        planes = _open_map(path)
-        if planes.shape != (channels, sub.stored.height, sub.stored.width):
-            raise InputError(
-                f"map {path} has the shape {planes.shape}, which its sub-image {sub.name} has not: "
-                "delete it and run the stereo again"
-            )
+        planes = open_map(path_of(sub, of_pass), sub.stored, channels)
         pixels = planes[(slice(None), *part.slices_in(sub.stored))]
         window[(slice(None), *part.slices_in(rectangle))] = pixels
     return window[0] if kind == "depth" else window
+
+
+def open_map(path: Path, stored: Rectangle, channels: int = 1) -> NDArray[np.float32]:
+    """The map of a sub-image, (channels, height, width), on disk: rows are read when they are used.
+
+    Raises:
+        InputError: the map is missing, truncated, or of another size than its sub-image.
+    """
+    planes = _open_map(path)
+    if planes.shape != (channels, stored.height, stored.width):
+        raise InputError(
+            f"map {path} has the shape {planes.shape}, but its sub-image "
+            f"{(channels, stored.height, stored.width)}: delete it and run the stereo again"
+        )
+    return planes
 
 
 def read_map(path: Path) -> NDArray[np.float32]:

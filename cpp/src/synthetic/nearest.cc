@@ -78,7 +78,7 @@ class CellGrid {
 }  // namespace
 
 Eigen::VectorXd NearestDistances(const Eigen::Ref<const PointRows>& queries,
-                                     const Eigen::Ref<const PointRows>& points, double limit) {
+                                 const Eigen::Ref<const PointRows>& points, double limit) {
   if (!(limit > 0) || !std::isfinite(limit)) {
     throw std::invalid_argument("limit of a nearest-point search must be above 0 and finite");
   }
