@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sirpy.errors import InputError, SirpyError
+
+if TYPE_CHECKING:
+    from sirpy.pipeline import Reconstruction
+    from sirpy.rectangle import Grid
 
 app = typer.Typer(
     name="sirpy",
@@ -52,7 +56,7 @@ def reconstruct(
 ) -> None:
     """Photographs to a dense cloud: every stage, in the memory that you allow."""
     from sirpy.pipeline import reconstruct as run
-    from sirpy.planning import gigabytes, parse_memory
+    from sirpy.planning import parse_memory
     from sirpy.progress import make_progress
 
     result = run(
@@ -65,11 +69,7 @@ def reconstruct(
         threads=threads,
         progress=make_progress(quiet),
     )
-    print(f"cloud:   {result.workspace.fused} ({result.points:,} points)")
-    print(f"report:  {result.workspace.report}")
-    print(f"picture: {result.workspace.cloud_picture}")
-    if result.peak_bytes is not None:
-        print(f"memory:  {gigabytes(result.peak_bytes)} at the peak, of {memory}")
+    _print_result(result, memory)
     if result.left_out:
         names = ", ".join(out.name for out in result.left_out)
         raise InputError(
@@ -248,7 +248,33 @@ def report(workspace: WorkspaceFolder) -> None:
     print(f"report: {run(Workspace(workspace))}")
 
 
-def _grid(columns: int | None, rows: int | None):  # type: ignore[no-untyped-def]
+@app.command()
+def demo(
+    output: Output = Path("demo"),
+    memory: Memory = _MEMORY,
+    quiet: Quiet = False,
+) -> None:
+    """A synthetic aerial scene: rendered, reconstructed and judged by its exact ground truth."""
+    from sirpy.demo import demo as run
+    from sirpy.planning import parse_memory
+    from sirpy.progress import make_progress
+
+    made = run(output, memory=parse_memory(memory), progress=make_progress(quiet))
+    print(made.evaluation)
+    _print_result(made.reconstruction, memory)
+
+
+def _print_result(result: Reconstruction, memory: str) -> None:
+    from sirpy.planning import gigabytes
+
+    print(f"cloud:   {result.workspace.fused} ({result.points:,} points)")
+    print(f"report:  {result.workspace.report}")
+    print(f"picture: {result.workspace.cloud_picture}")
+    if result.peak_bytes is not None:
+        print(f"memory:  {gigabytes(result.peak_bytes)} at the peak, of {memory}")
+
+
+def _grid(columns: int | None, rows: int | None) -> Grid | None:
     from sirpy.rectangle import Grid
 
     if columns is None and rows is None:

@@ -15,7 +15,7 @@ import pytest
 
 from sirpy.dense_stereo import StereoOptions
 from sirpy.pipeline import reconstruct
-from sirpy.ply import read_ply
+from sirpy.ply import read_vertices
 from sirpy.rectangle import Grid
 from sirpy.synthetic import evaluate
 from sirpy.windows import read_map
@@ -59,7 +59,7 @@ def test_every_missing_pixel_has_a_reason(cut: Path) -> None:
 
 
 def test_the_cloud_is_binary_with_normals_and_colours(cut: Path) -> None:
-    points = read_ply(cut / "fused.ply")
+    points = read_vertices(cut / "fused.ply")
     assert points.dtype.names == ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue")
     assert len(points) > 10_000
     assert all(np.isfinite(points[name]).all() for name in ("x", "y", "z", "nx", "ny", "nz"))
