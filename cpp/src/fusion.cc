@@ -15,7 +15,8 @@
 namespace sirpy {
 namespace {
 
-void Require(bool satisfied, const std::string& field, double value, const std::string& constraint) {
+void Require(bool satisfied, const std::string& field, double value,
+             const std::string& constraint) {
   if (satisfied) return;
   throw std::invalid_argument("FusionOptions::" + field + " = " + std::to_string(value) +
                               ". Violated constraint: " + field + " " + constraint);
@@ -40,11 +41,15 @@ struct Camera {
   }
 
   Eigen::Vector3d World(double x, double y, double depth) const {
-    return rotation.transpose() * (inverse_intrinsics * Eigen::Vector3d(x, y, 1) * depth - translation);
+    return rotation.transpose() *
+           (inverse_intrinsics * Eigen::Vector3d(x, y, 1) * depth - translation);
   }
-  Eigen::Vector3d InCamera(const Eigen::Vector3d& world) const { return rotation * world + translation; }
+  Eigen::Vector3d InCamera(const Eigen::Vector3d& world) const {
+    return rotation * world + translation;
+  }
 
-  // Area of the surface with that normal that one pixel covers at the world point, up to a constant.
+  // Area of the surface with that normal that one pixel covers at the world point, up to a
+  // constant.
   double Footprint(const Eigen::Vector3d& world, const Eigen::Vector3d& normal) const {
     const Eigen::Vector3d ray = world - centre;
     const double cosine = std::abs(ray.normalized().dot(normal));
@@ -65,8 +70,8 @@ struct Agreement {
 };
 
 // The plane of the reference's pixel: inverse depth is m . (x, y, 1).
-Eigen::Vector3d InverseDepthPlane(const Camera& reference, const Eigen::Vector3d& normal, double x, double y,
-                                  double depth) {
+Eigen::Vector3d InverseDepthPlane(const Camera& reference, const Eigen::Vector3d& normal, double x,
+                                  double y, double depth) {
   const Eigen::Vector3d m = reference.inverse_intrinsics.transpose() * normal;
   const double at_pixel = m.dot(Eigen::Vector3d(x, y, 1));
   if (std::abs(at_pixel) < 1e-9) return {0, 0, 1 / depth};
@@ -79,7 +84,8 @@ std::optional<Agreement> Agree(const Camera& reference, const Camera& source, do
   if (in_source.z() <= 0) return std::nullopt;
   const Eigen::Vector2d at = (source.intrinsics * in_source).hnormalized();
   const double u = at.x() - double(source.window.x0), v = at.y() - double(source.window.y0);
-  if (!(u >= 0 && v >= 0 && u < double(source.window.width - 1) && v < double(source.window.height - 1))) {
+  if (!(u >= 0 && v >= 0 && u < double(source.window.width - 1) &&
+        v < double(source.window.height - 1))) {
     return std::nullopt;
   }
   const float rho = InterpolatedInverseDepth(source.inverse_depth.data(), int(source.window.width),
@@ -131,10 +137,10 @@ Row FuseRow(const Camera& reference, const float* normals, const std::vector<Cam
       if (!agreement || agreement->shift >= options.consistency) continue;
       ++num_consistent;
       sum_inverse_depth += 1 / agreement->depth;
-      better_view = better_view ||
-                    (source.rank < reference.rank && agreement->shift < options.yield_shift &&
-                     source.Footprint(world, world_normal) <
-                         options.yield_footprint * reference.Footprint(world, world_normal));
+      better_view =
+          better_view || (source.rank < reference.rank && agreement->shift < options.yield_shift &&
+                          source.Footprint(world, world_normal) <
+                              options.yield_footprint * reference.Footprint(world, world_normal));
     }
     if (num_consistent < options.min_consistent) {
       ++fused.num_inconsistent;
@@ -146,8 +152,8 @@ Row FuseRow(const Camera& reference, const float* normals, const std::vector<Cam
       continue;
     }
     const double mean = double(num_consistent + 1) / sum_inverse_depth;
-    fused.points.push_back({reference.World(x, y, mean), world_normal.normalized().cast<float>(), pixel,
-                            uint8_t(num_consistent + 1)});
+    fused.points.push_back({reference.World(x, y, mean), world_normal.normalized().cast<float>(),
+                            pixel, uint8_t(num_consistent + 1)});
   }
   return fused;
 }
@@ -180,7 +186,8 @@ FusedPoints Fuse(const DepthView& reference, const float* normal,
   FusedPoints points;
   for (const Row& row : rows) {
     for (const Point& point : row.points) {
-      points.position.insert(points.position.end(), point.position.data(), point.position.data() + 3);
+      points.position.insert(points.position.end(), point.position.data(),
+                             point.position.data() + 3);
       points.normal.insert(points.normal.end(), point.normal.data(), point.normal.data() + 3);
       points.pixel.push_back(point.pixel);
       points.num_views.push_back(point.num_views);

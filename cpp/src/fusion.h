@@ -1,13 +1,13 @@
-// Fusion of depth maps into points, stateless: what a pixel gives depends on its own depth and on the depths of
-// its sources, so any order, any number of workers and any grid give the same points.
+// Fusion of depth maps into points, stateless: what a pixel gives depends on its own depth and on
+// the depths of its sources, so any order, any number of workers and any grid give the same points.
 //
-// Geometry: as patch_match_sir.h. A point lies on the ray of its pixel's centre ((x + 0.5, y + 0.5) in COLMAP's
-// coordinates; COLMAP's own fusion uses (x, y), half a pixel off).
+// Geometry: as patch_match_sir.h. A point lies on the ray of its pixel's centre ((x + 0.5, y + 0.5)
+// in COLMAP's coordinates; COLMAP's own fusion uses (x, y), half a pixel off).
 //
-// A depth is believed when the depths of enough sources agree: forward-backward error below `consistency` pixels
-// (Schoenberger et al., ECCV 2016, section 4.6). The point is the mean of what the agreeing views measure along
-// the ray. A surface that several views see is emitted by one of them: the view of the lowest rank that sees it
-// at no coarser sampling.
+// A depth is believed when the depths of enough sources agree: forward-backward error below
+// `consistency` pixels (Schoenberger et al., ECCV 2016, section 4.6). The point is the mean of what
+// the agreeing views measure along the ray. A surface that several views see is emitted by one of
+// them: the view of the lowest rank that sees it at no coarser sampling.
 #pragma once
 
 #include <cstdint>
@@ -20,10 +20,12 @@
 namespace sirpy {
 
 struct FusionOptions {
-  int min_consistent = 2;     // sources that must agree
-  double consistency = 1;     // pixels, forward-backward
-  double yield_shift = 0.5;   // pixels: a pixel leaves its point to a view that agrees better than this
-  double yield_footprint = 1.5;  // and whose pixel covers at most this times its area of the surface
+  int min_consistent = 2;  // sources that must agree
+  double consistency = 1;  // pixels, forward-backward
+  double yield_shift =
+      0.5;  // pixels: a pixel leaves its point to a view that agrees better than this
+  double yield_footprint =
+      1.5;  // and whose pixel covers at most this times its area of the surface
   bool keep_duplicates = false;  // every believed pixel emits its point
   int threads = 0;               // 0: one for each core
 
@@ -31,7 +33,8 @@ struct FusionOptions {
   void Validate() const;
 };
 
-// A window of depths of a native image. Arrays are not owned, rectangle.height x rectangle.width, row-major.
+// A window of depths of a native image. Arrays are not owned, rectangle.height x rectangle.width,
+// row-major.
 struct DepthView {
   Eigen::Matrix3d intrinsics;  // K of the whole native image, COLMAP's convention
   Eigen::Matrix3d rotation;    // cam_from_world
@@ -43,12 +46,12 @@ struct DepthView {
 
 // The points of a reference window, in row-major order of its pixels.
 struct FusedPoints {
-  std::vector<double> position;  // 3 per point, world
-  std::vector<float> normal;     // 3 per point, world, unit, towards the camera
-  std::vector<int64_t> pixel;    // index in the reference window
+  std::vector<double> position;    // 3 per point, world
+  std::vector<float> normal;       // 3 per point, world, unit, towards the camera
+  std::vector<int64_t> pixel;      // index in the reference window
   std::vector<uint8_t> num_views;  // views that agree, with the reference
-  int64_t num_inconsistent = 0;  // pixels with a depth that too few sources confirm
-  int64_t num_yielded = 0;       // pixels whose point another view emits
+  int64_t num_inconsistent = 0;    // pixels with a depth that too few sources confirm
+  int64_t num_yielded = 0;         // pixels whose point another view emits
 };
 
 // `normal`: 3 planes of the reference window, camera frame.

@@ -19,19 +19,20 @@ using patch_match::BestKernels;
 using patch_match::CoarserPlanes;
 using patch_match::GivenPlanes;
 using patch_match::GreyImage;
+using patch_match::KernelOptions;
+using patch_match::Kernels;
 using patch_match::kMaxSources;
 using patch_match::kPatchRadius;
-using patch_match::Kernels;
-using patch_match::KernelOptions;
 using patch_match::Level;
-using patch_match::Planes;
 using patch_match::PlaneArrays;
+using patch_match::Planes;
 using patch_match::PlaneSource;
 using patch_match::RandomPlanes;
 
 namespace {
 
-void Require(bool satisfied, const std::string& field, double value, const std::string& constraint) {
+void Require(bool satisfied, const std::string& field, double value,
+             const std::string& constraint) {
   if (satisfied) return;
   throw std::invalid_argument("PatchMatchOptions::" + field + " = " + std::to_string(value) +
                               ". Violated constraint: " + field + " " + constraint);
@@ -143,7 +144,8 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
 }
 
 // The best of what `source` proposes for each pixel.
-PlaneArrays Initialise(const Level& level, const KernelOptions& options, const PlaneSource& source) {
+PlaneArrays Initialise(const Level& level, const KernelOptions& options,
+                       const PlaneSource& source) {
   PlaneArrays arrays(level);
   Planes planes = arrays.View();
   const Kernels& kernels = BestKernels();
@@ -184,8 +186,9 @@ std::vector<float> Prior(const Level& level, const PlaneSource& source) {
     std::vector<float> slopes(2 * size_t(level.width));
 #pragma omp for
     for (int y = 0; y < level.height; ++y) {
-      source.FillRow(y, 0, {prior.data() + size_t(y) * level.width, slopes.data(),
-                            slopes.data() + level.width, nullptr, nullptr});
+      source.FillRow(y, 0,
+                     {prior.data() + size_t(y) * level.width, slopes.data(),
+                      slopes.data() + level.width, nullptr, nullptr});
     }
   }
   return prior;
@@ -230,7 +233,8 @@ int Iterations(const PatchMatchOptions& options, int level) {
   return level == options.levels - 1 ? options.coarsest_iterations : options.middle_iterations;
 }
 
-PatchMatchResult PhotometricPass(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
+PatchMatchResult PhotometricPass(const ViewWindow& reference,
+                                 const std::vector<ViewWindow>& sources,
                                  const std::vector<SparsePoint>& points,
                                  const PatchMatchOptions& options) {
   const KernelOptions kernel = MakeKernelOptions(options);
@@ -309,8 +313,9 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
   const auto check = [&](const ViewWindow& view) {
     if (view.rectangle.width < 2 || view.rectangle.height < 2 || view.rectangle.x0 % step ||
         view.rectangle.y0 % step) {
-      throw std::invalid_argument("a window must be 2x2 pixels or more and start at a multiple of " +
-                                  std::to_string(step) + " pixels");
+      throw std::invalid_argument(
+          "a window must be 2x2 pixels or more and start at a multiple of " + std::to_string(step) +
+          " pixels");
     }
     if ((view.depth != nullptr) != geometric) {
       throw std::invalid_argument("either all windows have depths or none has");
@@ -327,8 +332,8 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
 }
 
 PatchMatchMemory PatchMatchBytesPerPixel(bool geometric) {
-  // Reference: planes 18, prior 4, padded grey 1, results 18 (+ the coarser level's planes, 4.5, gone by then).
-  // Source: quads 4, pyramid 1/3, inverse depth 4.
+  // Reference: planes 18, prior 4, padded grey 1, results 18 (+ the coarser level's planes, 4.5,
+  // gone by then). Source: quads 4, pyramid 1/3, inverse depth 4.
   return geometric ? PatchMatchMemory{41, 8} : PatchMatchMemory{43, 5};
 }
 

@@ -215,7 +215,9 @@ def stereo(
 def fuse(
     workspace: WorkspaceFolder,
     min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
-    consistency: Annotated[float, typer.Option(help="Pixels that agreeing depths differ by.")] = 1.0,
+    consistency: Annotated[
+        float, typer.Option(help="Pixels that agreeing depths differ by.")
+    ] = 1.0,
     keep_duplicates: Annotated[
         bool, typer.Option(help="Every view emits the surface, not only the one that sees it best.")
     ] = False,

@@ -124,7 +124,12 @@ class _Problem:
     options: StereoOptions
 
     def window(
-        self, name: str, rectangle: Rectangle, *, with_depth: bool = False, with_normal: bool = False
+        self,
+        name: str,
+        rectangle: Rectangle,
+        *,
+        with_depth: bool = False,
+        with_normal: bool = False,
     ) -> _core.ViewWindow:
         """A window of a native image with its camera, and what the photometric pass found in it."""
         native, camera = self.natives[name], self.scene.cameras[name]
@@ -229,7 +234,9 @@ def count_reasons(workspace: Workspace) -> dict[str, dict[str, int]]:
         reason = read_map(workspace.reason_map(sub_image)).astype(np.uint8)
         core = reason[sub_image.core.slices_in(sub_image.stored)]
         count = counts.setdefault(native.name, {})
-        found = {"valid": core == 0} | {one.name.lower(): (core & one) != 0 for one in Reason if one.name}
+        found = {"valid": core == 0} | {
+            one.name.lower(): (core & one) != 0 for one in Reason if one.name
+        }
         for name, pixels in found.items():
             count[name] = count.get(name, 0) + int(pixels.sum())
     return counts

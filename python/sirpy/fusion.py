@@ -36,14 +36,20 @@ class FusionOptions:
 
     min_consistent: int = 2  # sources whose depth must agree
     consistency: float = 1.0  # pixels, forward-backward
-    keep_duplicates: bool = False  # every view emits the surface, not only the one that sees it best
+    keep_duplicates: bool = (
+        False  # every view emits the surface, not only the one that sees it best
+    )
     threads: int = 0  # 0: one for each core
 
     def __post_init__(self) -> None:
         if not 1 <= self.min_consistent <= 16:
-            raise InputError(f"--min_consistent {self.min_consistent} is not possible: choose 1 to 16")
+            raise InputError(
+                f"--min_consistent {self.min_consistent} is not possible: choose 1 to 16"
+            )
         if not self.consistency > 0:
-            raise InputError(f"--consistency {self.consistency} is not possible: choose more than 0")
+            raise InputError(
+                f"--consistency {self.consistency} is not possible: choose more than 0"
+            )
 
 
 def fuse(

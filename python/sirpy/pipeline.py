@@ -101,7 +101,9 @@ def reconstruct(
     with log.stage(workspace, "views", count, "sub-image"):
         views(workspace, num_sources=num_sources, progress=progress)
     with log.stage(workspace, "stereo", count, "sub-image"):
-        stereo(workspace, options=stereo_options or StereoOptions(threads=threads), progress=progress)
+        stereo(
+            workspace, options=stereo_options or StereoOptions(threads=threads), progress=progress
+        )
     with log.stage(workspace, "fuse", count, "sub-image"):
         points = fuse(
             workspace, options=fusion_options or FusionOptions(threads=threads), progress=progress

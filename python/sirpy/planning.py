@@ -50,7 +50,9 @@ def parse_memory(text: str) -> int:
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKmMgGtT]?)(i?)[bB]?\s*", text)
     if not match:
-        raise InputError(f'--memory "{text}" is not an amount of memory: write it like 8GB or 500MB')
+        raise InputError(
+            f'--memory "{text}" is not an amount of memory: write it like 8GB or 500MB'
+        )
     number, prefix, binary = match.groups()
     power = " kmgt".index(prefix.lower() or " ")
     return int(float(number) * (1024 if binary else 1000) ** power)

@@ -23,7 +23,9 @@ from sirpy.rectangle import Rectangle
 from sirpy.workspace import NativeImage, SubImage, Workspace
 
 ALIGNMENT = 8  # native pixels: windows start and end on the lattice of the coarsest pyramid level
-PATCH_REACH = 9  # native pixels: a patch of radius 4, magnified at most 2 times in the source, and a pixel
+PATCH_REACH = (
+    9  # native pixels: a patch of radius 4, magnified at most 2 times in the source, and a pixel
+)
 
 _ENOUGH_POINTS = 60  # that give a depth range and a choice of sources
 _MIN_SHARED = 8  # sparse points that a source must share with the reference
@@ -88,7 +90,9 @@ def views(
         return read_views(workspace)
     scene = read_native_scene(workspace)
     found: dict[str, SubImageViews] = {}
-    with (progress or Progress()).stage("views", len(list(workspace.sub_images())), "sub-image") as step:
+    with (progress or Progress()).stage(
+        "views", len(list(workspace.sub_images())), "sub-image"
+    ) as step:
         for native, sub_image in workspace.sub_images():
             found[sub_image.name] = sub_image_views(
                 scene, native, sub_image, num_sources=num_sources, halo=halo

@@ -1,15 +1,15 @@
 """The workspace: the one class that knows the folder (docs/formats.md); no other file joins its paths.
 
-    OUT/sir.json             native images, their sub-images, what was left out
-    OUT/stages.json          fingerprint of inputs and options of each stage: what makes resume safe
-    OUT/sfm/                 decimated photographs, database and model of structure from motion
-    OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, native resolution)
-    OUT/images/              the sub-images NAME_rRR_cCC.ext
-    OUT/sparse/              COLMAP model of the sub-images
-    OUT/views.json           sources, depth range and source windows of each sub-image
-    OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
-    OUT/fusion/              the points of each sub-image
-    OUT/fused.ply, OUT/cloud.png, OUT/report.html, OUT/run.json
+OUT/sir.json             native images, their sub-images, what was left out
+OUT/stages.json          fingerprint of inputs and options of each stage: what makes resume safe
+OUT/sfm/                 decimated photographs, database and model of structure from motion
+OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, native resolution)
+OUT/images/              the sub-images NAME_rRR_cCC.ext
+OUT/sparse/              COLMAP model of the sub-images
+OUT/views.json           sources, depth range and source windows of each sub-image
+OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
+OUT/fusion/              the points of each sub-image
+OUT/fused.ply, OUT/cloud.png, OUT/report.html, OUT/run.json
 """
 
 from __future__ import annotations

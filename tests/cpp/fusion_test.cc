@@ -20,12 +20,14 @@ std::vector<RenderedView> PlaneViews() {
   return views;
 }
 
-FusedPoints FuseView(const std::vector<RenderedView>& views, size_t reference, FusionOptions options = {}) {
+FusedPoints FuseView(const std::vector<RenderedView>& views, size_t reference,
+                     FusionOptions options = {}) {
   std::vector<DepthView> sources;
   for (size_t i = 0; i < views.size(); ++i) {
     if (i != reference) sources.push_back(views[i].Depths(int(i)));
   }
-  return Fuse(views[reference].Depths(int(reference)), views[reference].normal.data(), sources, options);
+  return Fuse(views[reference].Depths(int(reference)), views[reference].normal.data(), sources,
+              options);
 }
 
 TEST(Fusion, PerfectDepthsGiveAPerfectCloud) {
@@ -35,7 +37,8 @@ TEST(Fusion, PerfectDepthsGiveAPerfectCloud) {
   for (size_t i = 0; i < points.pixel.size(); ++i) {
     const Eigen::Map<const Eigen::Vector3d> point(&points.position[3 * i]);
     EXPECT_NEAR(kNormal.dot(point), kNormal.z() * 10, 1e-4);
-    EXPECT_GT(Eigen::Map<const Eigen::Vector3f>(&points.normal[3 * i]).cast<double>().dot(kNormal), 0.9999);
+    EXPECT_GT(Eigen::Map<const Eigen::Vector3f>(&points.normal[3 * i]).cast<double>().dot(kNormal),
+              0.9999);
     // On the ray of the pixel's centre: no half pixel is lost.
     const RenderedView& view = views[0];
     const Eigen::Vector2d pixel =
@@ -89,7 +92,8 @@ TEST(Fusion, AWindowGivesThePointsOfTheWhole) {
   std::set<std::array<double, 3>> of_whole, of_part;
   for (size_t i = 0; i < whole.pixel.size(); ++i) {
     if (whole.pixel[i] % 120 < 60) {
-      of_whole.insert({whole.position[3 * i], whole.position[3 * i + 1], whole.position[3 * i + 2]});
+      of_whole.insert(
+          {whole.position[3 * i], whole.position[3 * i + 1], whole.position[3 * i + 2]});
     }
   }
   for (size_t i = 0; i < part.pixel.size(); ++i) {

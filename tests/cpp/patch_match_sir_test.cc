@@ -32,13 +32,15 @@ struct Scene {
     return PatchMatchSir(reference.Window(geometric), windows, {{80, 60, 10}}, options);
   }
 
-  // Signed errors in pixels of motion in a source, inside a border where the sources see everything.
+  // Signed errors in pixels of motion in a source, inside a border where the sources see
+  // everything.
   std::vector<double> ShiftErrors(const PatchMatchResult& result, int border = 32) const {
     std::vector<double> errors;
     for (int y = border; y < kHeight - border; ++y) {
       for (int x = border; x < kWidth - border; ++x) {
         const size_t at = size_t(y) * kWidth + x;
-        errors.push_back(300 * 1.5 * (1 / double(result.depth[at]) - 1 / double(reference.depth[at])));
+        errors.push_back(300 * 1.5 *
+                         (1 / double(result.depth[at]) - 1 / double(reference.depth[at])));
       }
     }
     return errors;
@@ -141,8 +143,9 @@ TEST(PatchMatchOptions, ErrorNamesFieldValueAndBound) {
     options.Validate();
     FAIL();
   } catch (const std::invalid_argument& error) {
-    EXPECT_STREQ(error.what(),
-                 "PatchMatchOptions::max_depth = 0.500000. Violated constraint: max_depth > min_depth");
+    EXPECT_STREQ(
+        error.what(),
+        "PatchMatchOptions::max_depth = 0.500000. Violated constraint: max_depth > min_depth");
   }
 }
 

@@ -1,5 +1,5 @@
-// Scenes that can be solved by hand: cameras in a row look down at textured planes; images and depths are
-// computed in closed form. World z points away from the cameras, which stand at z = 0.
+// Scenes that can be solved by hand: cameras in a row look down at textured planes; images and
+// depths are computed in closed form. World z points away from the cameras, which stand at z = 0.
 #pragma once
 
 #include <cmath>
@@ -15,12 +15,15 @@
 
 namespace sirpy {
 
-// Smooth random texture: sines of many directions, wavelengths of 5 to 20 pixels at the given sampling.
+// Smooth random texture: sines of many directions, wavelengths of 5 to 20 pixels at the given
+// sampling.
 inline double Texture(double x, double y, double per_pixel) {
   double value = 0;
   for (int i = 0; i < 24; ++i) {
-    const double angle = 2.399963 * i, wavelength = per_pixel * (5 + 15 * std::fmod(0.618034 * i, 1.0));
-    value += std::sin(2 * M_PI / wavelength * (x * std::cos(angle) + y * std::sin(angle)) + 1.7 * i * i);
+    const double angle = 2.399963 * i,
+                 wavelength = per_pixel * (5 + 15 * std::fmod(0.618034 * i, 1.0));
+    value +=
+        std::sin(2 * M_PI / wavelength * (x * std::cos(angle) + y * std::sin(angle)) + 1.7 * i * i);
   }
   return 128 + 100 * value / std::sqrt(24.0) / 1.5;
 }
@@ -45,16 +48,21 @@ struct RenderedView {
   std::vector<float> normal;  // 3 planes, camera frame; filled for single planes
 
   ViewWindow Window(bool with_depth = false) const {
-    return {intrinsics,  rotation, translation, {0, 0, width, height},
-            grey.data(), with_depth ? depth.data() : nullptr, with_depth ? normal.data() : nullptr};
+    return {intrinsics,
+            rotation,
+            translation,
+            {0, 0, width, height},
+            grey.data(),
+            with_depth ? depth.data() : nullptr,
+            with_depth ? normal.data() : nullptr};
   }
   DepthView Depths(int rank) const {
     return {intrinsics, rotation, translation, {0, 0, width, height}, rank, depth.data()};
   }
 };
 
-inline RenderedView Render(const Eigen::Vector3d& centre, const Surface& surface, int width, int height,
-                           const Eigen::Vector3d& normal = {0, 0, -1}) {
+inline RenderedView Render(const Eigen::Vector3d& centre, const Surface& surface, int width,
+                           int height, const Eigen::Vector3d& normal = {0, 0, -1}) {
   RenderedView view;
   view.intrinsics << 300, 0, width / 2.0, 0, 300, height / 2.0, 0, 0, 1;
   // A little of every rotation, so that nothing is tested on aligned axes only.
@@ -77,7 +85,8 @@ inline RenderedView Render(const Eigen::Vector3d& centre, const Surface& surface
       const Eigen::Vector3d point = centre + depth * ray;
       const size_t at = size_t(y) * width + x;
       view.depth[at] = float(depth);
-      view.grey[at] = uint8_t(std::lround(std::clamp(Texture(point.x(), point.y(), per_pixel), 0.0, 255.0)));
+      view.grey[at] =
+          uint8_t(std::lround(std::clamp(Texture(point.x(), point.y(), per_pixel), 0.0, 255.0)));
       for (int i = 0; i < 3; ++i) view.normal[at + i * area] = float(in_camera[i]);
     }
   }

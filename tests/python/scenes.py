@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from sirpy.native_scene import NativeCamera, NativeScene, Observations
 
 

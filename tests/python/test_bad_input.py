@@ -76,9 +76,7 @@ def test_columns_without_rows(town: Path, output: Path) -> None:
 
 
 def test_budget_that_no_plan_meets(town: Path, output: Path) -> None:
-    run = _reconstruct(
-        town / "images", output, "--model", str(town / "sparse"), "--memory", "50MB"
-    )
+    run = _reconstruct(town / "images", output, "--model", str(town / "sparse"), "--memory", "50MB")
     _assert_refused(run, output, "0.05 GB", "least that would do")
 
 

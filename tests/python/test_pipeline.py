@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from sirpy.dense_stereo import StereoOptions
 from sirpy.pipeline import reconstruct
 from sirpy.ply import read_vertices
@@ -113,7 +112,9 @@ def test_pycolmap_fuses_the_workspace(town: Path, cut: Path, tmp_path: Path) -> 
 
 
 def _installed_colmap() -> str | None:
-    candidates = [Path(folder) / "colmap" for folder in os.environ.get("PATH", "").split(os.pathsep)]
+    candidates = [
+        Path(folder) / "colmap" for folder in os.environ.get("PATH", "").split(os.pathsep)
+    ]
     for path in candidates:
         if os.access(path, os.X_OK) and path.read_bytes()[:4] == b"\x7fELF":
             return str(path)

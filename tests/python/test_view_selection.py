@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import plane_scene
-
 from sirpy.rectangle import Grid, Rectangle
 from sirpy.view_selection import ALIGNMENT, aligned, source_window, sub_image_views
 from sirpy.workspace import NativeImage, SubImage
@@ -90,7 +89,9 @@ def test_an_image_without_points_has_no_sources() -> None:
     scene = type(SCENE)(SCENE.cameras, SCENE.points, observations)
     core = Rectangle(0, 0, 200, 200)
     sub_image = SubImage("s", 0, 0, core, core)
-    assert sub_image_views(scene, _native("003.jpg"), sub_image, num_sources=4, halo=16).sources == ()
+    assert (
+        sub_image_views(scene, _native("003.jpg"), sub_image, num_sources=4, halo=16).sources == ()
+    )
 
 
 def test_same_pixels_whatever_the_grid() -> None:
@@ -109,5 +110,3 @@ def test_same_pixels_whatever_the_grid() -> None:
             if source.name in windows:
                 # Depth ranges differ by what the points around show, a few pixels here.
                 assert windows[source.name].padded(16).contains(source.window)
-
-

@@ -1,4 +1,5 @@
-// Checked views of numpy arrays: the type is exact (no silent conversion), C-contiguous, of the stated shape.
+// Checked views of numpy arrays: the type is exact (no silent conversion), C-contiguous, of the
+// stated shape.
 #pragma once
 
 #include <memory>
@@ -6,9 +7,9 @@
 #include <utility>
 #include <vector>
 
-#include <Eigen/Core>
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
+#include <Eigen/Core>
 
 namespace sirpy {
 

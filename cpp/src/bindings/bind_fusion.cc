@@ -16,8 +16,8 @@ struct OwnedDepthView {
   Array<float> depth;
 };
 
-OwnedDepthView MakeDepthView(const Eigen::Matrix3d& intrinsics, const Pose& cam_from_world, int64_t x0,
-                             int64_t y0, int rank, Array<float> depth) {
+OwnedDepthView MakeDepthView(const Eigen::Matrix3d& intrinsics, const Pose& cam_from_world,
+                             int64_t x0, int64_t y0, int rank, Array<float> depth) {
   CheckDimensions(depth, 2, "depth");
   OwnedDepthView owned;
   owned.view.intrinsics = intrinsics;
@@ -45,11 +45,10 @@ py::tuple RunFuse(const OwnedDepthView& reference, const Array<float>& normal,
     points = Fuse(reference.view, normal.data(), views, options);
   }
   const auto count = py::ssize_t(points.pixel.size());
-  return py::make_tuple(ToArray(std::move(points.position), {count, 3}),
-                        ToArray(std::move(points.normal), {count, 3}),
-                        ToArray(std::move(points.pixel), {count}),
-                        ToArray(std::move(points.num_views), {count}), points.num_inconsistent,
-                        points.num_yielded);
+  return py::make_tuple(
+      ToArray(std::move(points.position), {count, 3}),
+      ToArray(std::move(points.normal), {count, 3}), ToArray(std::move(points.pixel), {count}),
+      ToArray(std::move(points.num_views), {count}), points.num_inconsistent, points.num_yielded);
 }
 
 }  // namespace
@@ -66,11 +65,12 @@ void BindFusion(py::module_& module) {
       .def("validate", &FusionOptions::Validate);
 
   py::class_<OwnedDepthView>(module, "DepthView")
-      .def(py::init(&MakeDepthView), py::kw_only(), py::arg("intrinsics"), py::arg("cam_from_world"),
-           py::arg("x0"), py::arg("y0"), py::arg("rank"), py::arg("depth").noconvert());
+      .def(py::init(&MakeDepthView), py::kw_only(), py::arg("intrinsics"),
+           py::arg("cam_from_world"), py::arg("x0"), py::arg("y0"), py::arg("rank"),
+           py::arg("depth").noconvert());
 
-  module.def("fuse", &RunFuse, py::arg("reference"), py::arg("normal").noconvert(), py::arg("sources"),
-             py::arg("options"));
+  module.def("fuse", &RunFuse, py::arg("reference"), py::arg("normal").noconvert(),
+             py::arg("sources"), py::arg("options"));
 }
 
 }  // namespace sirpy

@@ -28,7 +28,8 @@ OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& ca
   CheckDimensions(grey, 2, "grey");
   const auto check = [&](const auto& array, const char* name, int dimensions) {
     CheckDimensions(array, dimensions, name);
-    if (array.shape(dimensions - 2) != grey.shape(0) || array.shape(dimensions - 1) != grey.shape(1)) {
+    if (array.shape(dimensions - 2) != grey.shape(0) ||
+        array.shape(dimensions - 1) != grey.shape(1)) {
       throw py::value_error(std::string(name) + " must have the size of grey");
     }
   };
@@ -53,8 +54,9 @@ OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& ca
   return owned;
 }
 
-py::tuple RunPatchMatch(const OwnedViewWindow& reference, const std::vector<OwnedViewWindow>& sources,
-                        const Array<double>& points, const PatchMatchOptions& options) {
+py::tuple RunPatchMatch(const OwnedViewWindow& reference,
+                        const std::vector<OwnedViewWindow>& sources, const Array<double>& points,
+                        const PatchMatchOptions& options) {
   CheckDimensions(points, 2, "points");
   if (points.shape(1) != 3) throw py::value_error("points must have 3 columns: x, y, depth");
   std::vector<SparsePoint> sparse;
@@ -68,7 +70,8 @@ py::tuple RunPatchMatch(const OwnedViewWindow& reference, const std::vector<Owne
     py::gil_scoped_release release;
     result = PatchMatchSir(reference.view, views, sparse, options);
   }
-  const py::ssize_t height = reference.view.rectangle.height, width = reference.view.rectangle.width;
+  const py::ssize_t height = reference.view.rectangle.height,
+                    width = reference.view.rectangle.width;
   return py::make_tuple(ToArray(std::move(result.depth), {height, width}),
                         ToArray(std::move(result.normal), {3, height, width}),
                         ToArray(std::move(result.cost), {height, width}),

@@ -12,8 +12,8 @@
 namespace sirpy::patch_match {
 namespace {
 
-// The gradient of inverse depth of the plane with inverse depth rho at native pixel (x, y) and the given normal:
-// inverse depth is m . x~ with m along K^-T n.
+// The gradient of inverse depth of the plane with inverse depth rho at native pixel (x, y) and the
+// given normal: inverse depth is m . x~ with m along K^-T n.
 Eigen::Vector2f Gradient(const Level& level, double x, double y, double rho,
                          const Eigen::Vector3d& normal) {
   const double mx = normal.x() / level.fx, my = normal.y() / level.fy;
@@ -85,8 +85,8 @@ CoarserPlanes::CoarserPlanes(const Level& level, const PlaneArrays& coarser)
     : level_(level), coarser_(coarser) {}
 
 void CoarserPlanes::FillRow(int y, int candidate, const Planes& row) const {
-  // Pixel x of this level lies at x / 2 - 1/4 of the coarser one: between x / 2 and its neighbour on the side
-  // where x lies. Windows start at even pixels, so positions in the window serve.
+  // Pixel x of this level lies at x / 2 - 1/4 of the coarser one: between x / 2 and its neighbour
+  // on the side where x lies. Windows start at even pixels, so positions in the window serve.
   const auto coarse = [](int position, bool other, int size) {
     const int nearest = position / 2;
     const int step = position % 2 == 0 ? -1 : 1;
@@ -117,8 +117,7 @@ void GivenPlanes::FillRow(int y, int /*candidate*/, const Planes& row) const {
     }
     const Eigen::Vector3d normal(normal_[at], normal_[at + plane], normal_[at + 2 * plane]);
     const double rho = 1.0 / depth_[at];
-    const Eigen::Vector2f gradient =
-        Gradient(level_, level_.x0 + x, level_.y0 + y, rho, normal);
+    const Eigen::Vector2f gradient = Gradient(level_, level_.x0 + x, level_.y0 + y, rho, normal);
     row.rho[x] = float(rho);
     row.gx[x] = gradient.x();
     row.gy[x] = gradient.y();

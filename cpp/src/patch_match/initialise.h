@@ -1,5 +1,6 @@
-// Where the planes of a level start: at the coarsest from the sparse points and at random over the range, at
-// finer levels from the four nearest planes of the coarser one, in the geometric pass from the last pass.
+// Where the planes of a level start: at the coarsest from the sparse points and at random over the
+// range, at finer levels from the four nearest planes of the coarser one, in the geometric pass
+// from the last pass.
 #pragma once
 
 #include <vector>
@@ -22,8 +23,8 @@ struct PlaneArrays {
   Planes View() { return {rho.data(), gx.data(), gy.data(), cost.data(), views.data()}; }
 };
 
-// Writes into the first three rows-of-`level.width` arrays of `row` the planes that candidate `candidate`
-// proposes for row y.
+// Writes into the first three rows-of-`level.width` arrays of `row` the planes that candidate
+// `candidate` proposes for row y.
 class PlaneSource {
  public:
   virtual ~PlaneSource() = default;
@@ -31,8 +32,8 @@ class PlaneSource {
   virtual void FillRow(int y, int candidate, const Planes& row) const = 0;
 };
 
-// Half of the candidates near the depth of the nearest sparse point, half anywhere in the range; normals are
-// cosine-weighted about the viewing ray.
+// Half of the candidates near the depth of the nearest sparse point, half anywhere in the range;
+// normals are cosine-weighted about the viewing ray.
 class RandomPlanes : public PlaneSource {
  public:
   RandomPlanes(const Level& level, const std::vector<SparsePoint>& points);

@@ -1,5 +1,6 @@
-// The row kernels of the sweep; compiled once for each instruction set with SIRPY_ISA (a namespace) and
-// SIRPY_LANES. No standard library here: nothing that the linker could share between instruction sets.
+// The row kernels of the sweep; compiled once for each instruction set with SIRPY_ISA (a namespace)
+// and SIRPY_LANES. No standard library here: nothing that the linker could share between
+// instruction sets.
 #include "patch_match/level.h"
 #include "patch_match/ncc.h"
 #include "patch_match/propagation.h"
@@ -11,8 +12,9 @@ namespace sirpy::patch_match::SIRPY_ISA {
 constexpr float kRejected = 3 * kWorstCost;  // worse than any plane that can be compared
 constexpr float kLeastCosine = 0.14f;        // planes seen at more than 82 degrees are refused
 
-// Planes inside the depth range that face the camera less obliquely than kLeastCosine. The normal is along
-// K^T m, m the plane's coefficients of inverse depth: (fx gx, fy gy, rho at the principal point).
+// Planes inside the depth range that face the camera less obliquely than kLeastCosine. The normal
+// is along K^T m, m the plane's coefficients of inverse depth: (fx gx, fy gy, rho at the principal
+// point).
 SIRPY_INLINE Ints IsPossible(const Level& level, const Group& group, const Plane& plane) {
   const Floats dx = group.x - level.cx, dy = group.native_y - level.cy;
   const Floats nx = level.fx * plane.gx, ny = level.fy * plane.gy;
@@ -24,8 +26,8 @@ SIRPY_INLINE Ints IsPossible(const Level& level, const Group& group, const Plane
          (plane.rho * plane.rho > limit);
 }
 
-// Where there is little texture the coarser level, which saw a wider neighbourhood, has its say: a deviation
-// from it costs in place of the NCC (after OpenMVS, Cernea 2020).
+// Where there is little texture the coarser level, which saw a wider neighbourhood, has its say: a
+// deviation from it costs in place of the NCC (after OpenMVS, Cernea 2020).
 SIRPY_INLINE Floats WithPrior(const Level& level, const KernelOptions& options, const Group& group,
                               const Plane& plane, Floats cost, Floats shift) {
   if (!level.prior) return cost;
@@ -41,7 +43,7 @@ SIRPY_INLINE Floats WithPrior(const Level& level, const KernelOptions& options, 
 
 // The NCC costs of a plane in every source.
 SIRPY_FUNCTION void SourceCosts(const Level& level, const Group& group, const Plane& plane,
-                              Floats costs[kMaxSources]) {
+                                Floats costs[kMaxSources]) {
   for (int j = 0; j < level.num_sources; ++j) {
     costs[j] = NccCost(level, group, j, WarpPatch(level, group, j, plane));
   }
@@ -52,11 +54,11 @@ struct Cost {
   Floats shift;  // pixels of motion in the sources per unit of inverse depth, their mean
 };
 
-// The cost of a plane: the weighted mean over the used sources of the NCC cost (of `known`, where they have
-// been computed) and, where sources have depths, of their disagreement.
+// The cost of a plane: the weighted mean over the used sources of the NCC cost (of `known`, where
+// they have been computed) and, where sources have depths, of their disagreement.
 SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, const Group& group,
-                            const ViewWeights& views, const Plane& plane,
-                            const Floats* known = nullptr) {
+                              const ViewWeights& views, const Plane& plane,
+                              const Floats* known = nullptr) {
   Floats photometric{}, geometric{}, shift{}, weights{};
   for (int j = 0; j < level.num_sources; ++j) {
     if (!views.any[j]) continue;
@@ -82,7 +84,8 @@ SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, 
 }
 
 // Replaces the best plane in the lanes where `plane` is better.
-SIRPY_INLINE void Keep(Ints better, const Plane& plane, const Cost& cost, Plane* best, Cost* best_cost) {
+SIRPY_INLINE void Keep(Ints better, const Plane& plane, const Cost& cost, Plane* best,
+                       Cost* best_cost) {
   best->rho = Select(better, plane.rho, best->rho);
   best->gx = Select(better, plane.gx, best->gx);
   best->gy = Select(better, plane.gy, best->gy);
@@ -123,8 +126,8 @@ SIRPY_INLINE Floats Draw(const Level& level, const Group& group, int iteration, 
   Floats value;
   const uint64_t what = uint64_t(level.level) << 32 | uint64_t(iteration) << 16 | uint64_t(draw);
   for (int lane = 0; lane < kLanes; ++lane) {
-    const uint64_t pixel = uint64_t(uint32_t(level.y0 + group.y)) << 32 |
-                           uint32_t(level.x0 + group.column[lane]);
+    const uint64_t pixel =
+        uint64_t(uint32_t(level.y0 + group.y)) << 32 | uint32_t(level.x0 + group.column[lane]);
     value[lane] = Uniform(Hash(level.seed, pixel, what));
   }
   return value;
@@ -137,8 +140,9 @@ SIRPY_INLINE Floats LogUniform(Floats uniform, float least, float most) {
   return Select(uniform < 0.5f, -size, size);
 }
 
-// Candidates of the initialisation: for each pixel of the row the plane of `candidates` replaces the present
-// one where it costs less. Without neighbours to ask, a plane is judged by the sources that it looks best in.
+// Candidates of the initialisation: for each pixel of the row the plane of `candidates` replaces
+// the present one where it costs less. Without neighbours to ask, a plane is judged by the sources
+// that it looks best in.
 void EvaluateRow(const Level& level, const KernelOptions& options, const Planes& candidates,
                  Planes* planes, int y) {
   for (int colour = 0; colour < 2; ++colour) {
@@ -185,7 +189,8 @@ SIRPY_INLINE void Refine(const Level& level, const KernelOptions& options, const
     plane.rho += LogUniform(draw(number), 0.1f, largest) / Max(best_cost->shift, Splat(1e-20f));
     return plane;
   };
-  const auto with_tilt = [&](Plane plane, int number) {  // the patch's corner moves by 0.05 to 2 pixels
+  const auto with_tilt = [&](Plane plane,
+                             int number) {  // the patch's corner moves by 0.05 to 2 pixels
     const Floats tilt = (1.f / kPatchRadius) / Max(best_cost->shift, Splat(1e-20f));
     plane.gx += LogUniform(draw(number), 0.05f, 2) * tilt;
     plane.gy += LogUniform(draw(number + 1), 0.05f, 2) * tilt;
@@ -197,8 +202,8 @@ SIRPY_INLINE void Refine(const Level& level, const KernelOptions& options, const
   attempt(WithNeighbourSlope(level, planes, group, *best));
   if (level.coarsest && iteration < 2) {
     Plane anywhere = *best;
-    anywhere.rho = level.min_inverse_depth +
-                   draw(6) * (level.max_inverse_depth - level.min_inverse_depth);
+    anywhere.rho =
+        level.min_inverse_depth + draw(6) * (level.max_inverse_depth - level.min_inverse_depth);
     attempt(anywhere);
   }
 }
@@ -212,7 +217,8 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
     const Offers offers = CollectOffers(level, *planes, group, level.offers);
     Floats costs[8][kMaxSources];
     for (int i = 0; i < offers.count; ++i) SourceCosts(level, group, offers.plane[i], costs[i]);
-    ViewWeights views = SelectViews(level, options, *planes, group, costs, offers.valid, offers.count, iteration);
+    ViewWeights views =
+        SelectViews(level, options, *planes, group, costs, offers.valid, offers.count, iteration);
     Plane best = LoadPlanes(level, *planes, group);
     const Ints none = NoView(level.num_sources, views);
     if (Any(none)) {  // no source pleases the neighbours: those that suit the present plane best

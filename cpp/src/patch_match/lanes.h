@@ -1,9 +1,9 @@
-// Lanes: SIRPY_LANES neighbouring pixels of one colour are worked on at once, one per SIMD lane. Written in
-// the compiler's vector extensions, so one source serves every instruction set; no operation mixes lanes and
-// none is contracted, so the results are the same bytes on each of them.
+// Lanes: SIRPY_LANES neighbouring pixels of one colour are worked on at once, one per SIMD lane.
+// Written in the compiler's vector extensions, so one source serves every instruction set; no
+// operation mixes lanes and none is contracted, so the results are the same bytes on each of them.
 //
-// Included only by kernels.cc, which is compiled once for each instruction set: everything is inside a
-// namespace of that set, so that the linker can never share code between them.
+// Included only by kernels.cc, which is compiled once for each instruction set: everything is
+// inside a namespace of that set, so that the linker can never share code between them.
 #pragma once
 
 #include <cstdint>
@@ -66,7 +66,8 @@ SIRPY_INLINE Floats Exp(Floats a) {
   const Ints below = Truncate(scaled) + (scaled < 0.f);  // a true comparison is -1: floor
   const Floats f = scaled - ToFloats(below);
   const Floats power =
-      1.f + f * (0.6931472f + f * (0.2402265f + f * (0.0555041f + f * (0.0096139f + f * 0.0013398f))));
+      1.f +
+      f * (0.6931472f + f * (0.2402265f + f * (0.0555041f + f * (0.0096139f + f * 0.0013398f))));
   return (Floats)((Ints)power + (below << 23));
 }
 

@@ -1,9 +1,11 @@
-// What the kernels work on: one reference window and its source windows at one level of the pyramid.
+// What the kernels work on: one reference window and its source windows at one level of the
+// pyramid.
 //
-// Pixel coordinates here put the centre of a pixel at whole numbers (COLMAP's minus one half) and count from
-// the origin of the whole native image at that level, so nothing depends on how the image was cut. A plane is
-// stored as inverse depth rho (1 / z in the reference camera) at the pixel and its gradient (gx, gy) per pixel:
-// rho(x + d) = rho + g d. A source sees the reference pixel x with inverse depth rho at
+// Pixel coordinates here put the centre of a pixel at whole numbers (COLMAP's minus one half) and
+// count from the origin of the whole native image at that level, so nothing depends on how the
+// image was cut. A plane is stored as inverse depth rho (1 / z in the reference camera) at the
+// pixel and its gradient (gx, gy) per pixel: rho(x + d) = rho + g d. A source sees the reference
+// pixel x with inverse depth rho at
 //   (a x~ + b rho), a = K_s R K_r^-1, b = K_s t, with (R, t) = source_from_reference.
 #pragma once
 
@@ -14,8 +16,7 @@ namespace sirpy::patch_match {
 constexpr int kMaxSources = 16;
 constexpr int kPatchRadius = 4;  // 9x9 pixels, every second one is sampled: 25 samples
 constexpr int kPatchStep = 2;
-constexpr int kFarReach = 23;    // the farthest neighbour that a plane propagates from, in pixels
-constexpr float kWorstCost = 2;  // NCC cost 1 - ncc is in [0, 2]; what cannot be compared costs this
+constexpr float kWorstCost = 2;  // 1 - NCC is in [0, 2]; what cannot be compared costs this
 
 struct SourceLevel {
   const uint32_t* quads = nullptr;  // height x width; bytes: (x, y), (x+1, y), (x, y+1), (x+1, y+1)
@@ -60,22 +61,23 @@ struct Planes {
 
 // What `assess` finds of the final planes.
 struct Assessment {
-  float* cost = nullptr;          // photometric cost over the selected sources
-  uint8_t* num_seeing = nullptr;  // sources that the pixel can be compared with
-  uint8_t* num_consistent = nullptr;  // sources whose own depth agrees within max_shift
+  float* cost = nullptr;              // photometric cost over the selected sources
+  uint8_t* num_seeing = nullptr;      // sources that the pixel can be compared with
+  uint8_t* num_consistent = nullptr;  // sources whose own depth agrees within `consistency`
 };
 
 struct KernelOptions {
-  float color_sigma = 20;          // grey levels, bilateral weight
-  float space_sigma = 3;           // pixels, bilateral weight
-  float geometric_weight = 0.2f;   // lambda
-  float max_geometric_error = 3;   // pixels, T
-  float consistency = 1;           // pixels: agreement of two depth maps
-  float prior_variance = 4;        // grey levels squared: below this texture the coarser level counts
-  int top_views = 4;               // sources that a pixel's cost is the mean of, at most
+  float color_sigma = 20;         // grey levels, bilateral weight
+  float space_sigma = 3;          // pixels, bilateral weight
+  float geometric_weight = 0.2f;  // lambda
+  float max_geometric_error = 3;  // pixels, T
+  float consistency = 1;          // pixels: agreement of two depth maps
+  float prior_variance = 4;  // grey levels squared: below this texture the coarser level counts
+  int top_views = 4;         // sources that a pixel's cost is the mean of, at most
 };
 
-// One set per instruction set. Each works on one row: `colour` is (x + y) & 1 in native coordinates.
+// One set per instruction set. Each works on one row: `colour` is (x + y) & 1 in native
+// coordinates.
 struct Kernels {
   const char* name;
   void (*evaluate_row)(const Level&, const KernelOptions&, const Planes& candidates, Planes* planes,
@@ -83,11 +85,12 @@ struct Kernels {
   void (*sweep_row)(const Level&, const KernelOptions&, Planes* planes, int y, int colour,
                     int iteration);
   void (*refine_row)(const Level&, const KernelOptions&, Planes* planes, int y);
-  void (*assess_row)(const Level&, const KernelOptions&, const Planes& planes, Assessment* assessment,
-                     int y);
+  void (*assess_row)(const Level&, const KernelOptions&, const Planes& planes,
+                     Assessment* assessment, int y);
 };
 
-// The widest set that this processor has; SIRPY_ISA=baseline|avx2|avx512 in the environment asks for another.
+// The widest set that this processor has; SIRPY_ISA=baseline|avx2|avx512 in the environment asks
+// for another.
 const Kernels& BestKernels();
 
 }  // namespace sirpy::patch_match

@@ -1,7 +1,7 @@
 // The cost of one plane in one source: 1 - bilaterally weighted NCC over a 9x9 patch of 25 samples
-// (Schoenberger et al., ECCV 2016, section 4.2), the homography linearised at the patch's centre (error below
-// 0.1 px at 60 degrees of slant and rotation). A patch that leaves the source's window, is seen from behind or
-// changes its area more than 4 times costs kWorstCost.
+// (Schoenberger et al., ECCV 2016, section 4.2), the homography linearised at the patch's centre
+// (error below 0.1 px at 60 degrees of slant and rotation). A patch that leaves the source's
+// window, is seen from behind or changes its area more than 4 times costs kWorstCost.
 #pragma once
 
 #include "depth_window.h"
@@ -11,8 +11,8 @@ namespace sirpy::patch_match::SIRPY_ISA {
 
 struct Warp {
   Ints inside;
-  Floats x, y;      // patch centre in the source's window, pixels
-  Floats shift;     // pixels of motion in the source per unit of inverse depth
+  Floats x, y;   // patch centre in the source's window, pixels
+  Floats shift;  // pixels of motion in the source per unit of inverse depth
   Floats j00, j01, j10, j11;
 };
 
@@ -86,10 +86,10 @@ SIRPY_FUNCTION Floats NccCost(const Level& level, const Group& group, int j, con
   return Select(warp.inside, Select(textured, cost, Splat(1)), Splat(kWorstCost));
 }
 
-// Forward-backward error in reference pixels (Schoenberger et al., ECCV 2016, section 4.5): to the source,
-// onto the depth found there, and back. -1 where the source has no depth.
+// Forward-backward error in reference pixels (Schoenberger et al., ECCV 2016, section 4.5): to the
+// source, onto the depth found there, and back. -1 where the source has no depth.
 SIRPY_FUNCTION Floats ForwardBackwardError(const Level& level, const Group& group, int j,
-                                         const Warp& warp) {
+                                           const Warp& warp) {
   const SourceLevel& source = level.sources[j];
   Floats error = Splat(-1);
   for (int lane = 0; lane < kLanes; ++lane) {

@@ -1,5 +1,6 @@
-// The reference side of the cost: bilateral weights and moments of the patches of one group of pixels. They
-// depend on the reference image alone, so they are computed once for all planes and sources.
+// The reference side of the cost: bilateral weights and moments of the patches of one group of
+// pixels. They depend on the reference image alone, so they are computed once for all planes and
+// sources.
 #pragma once
 
 #include "patch_match/lanes.h"
@@ -14,19 +15,20 @@ struct Plane {
   Floats rho, gx, gy;
 };
 
-// kLanes pixels of a row, every second one from `first` on; a lane beyond the window repeats its last pixel
-// of the colour, and is never written.
+// kLanes pixels of a row, every second one from `first` on; a lane beyond the window repeats its
+// last pixel of the colour, and is never written.
 struct Group {
-  int y = 0;           // row in the window
-  int count = 0;       // lanes that are inside
-  int column[kLanes];  // in the window
-  Floats x, native_y;  // position in the native image at this level
-  Floats weight[kSamples];    // bilateral, w
-  Floats centred[kSamples];   // w (r - mean)
+  int y = 0;                 // row in the window
+  int count = 0;             // lanes that are inside
+  int column[kLanes];        // in the window
+  Floats x, native_y;        // position in the native image at this level
+  Floats weight[kSamples];   // bilateral, w
+  Floats centred[kSamples];  // w (r - mean)
   Floats weight_sum;
   Floats mean;
   Floats spread;  // sum of w (r - mean)^2
-  Floats ax[kMaxSources], ay[kMaxSources], az[kMaxSources];  // a x~ per source, without the window's origin
+  Floats ax[kMaxSources], ay[kMaxSources],
+      az[kMaxSources];  // a x~ per source, without the window's origin
 };
 
 SIRPY_FUNCTION Group LoadGroup(const Level& level, const KernelOptions& options, int first, int y) {

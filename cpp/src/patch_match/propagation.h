@@ -1,7 +1,7 @@
-// Where planes come from: adaptive checkerboard sampling (Xu and Tao, ACMH, CVPR 2019, section 3.1). In each of
-// eight regions (a V of 7 pixels next to the pixel and a strip of 11 farther out, in four directions) the pixel
-// of the lowest cost offers its plane. All of them have the other colour, so a half sweep reads only what it
-// does not write.
+// Where planes come from: adaptive checkerboard sampling (Xu and Tao, ACMH, CVPR 2019, section
+// 3.1). In each of eight regions (a V of 7 pixels next to the pixel and a strip of 11 farther out,
+// in four directions) the pixel of the lowest cost offers its plane. All of them have the other
+// colour, so a half sweep reads only what it does not write.
 #pragma once
 
 #include "patch_match/patch.h"
@@ -24,15 +24,16 @@ SIRPY_INLINE Plane LoadPlanes(const Level& level, const Planes& planes, const Gr
   return plane;
 }
 
-// The planes that the regions offer to each lane, carried over to the lane's pixel, those of the lowest cost
-// first; `valid` is false where a region lies outside the window.
+// The planes that the regions offer to each lane, carried over to the lane's pixel, those of the
+// lowest cost first; `valid` is false where a region lies outside the window.
 struct Offers {
   int count;
   Plane plane[8];
   Ints valid[8];
 };
 
-SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, const Group& group, int count) {
+SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, const Group& group,
+                                    int count) {
   static constexpr int kAlong[4][2] = {{0, -1}, {0, 1}, {-1, 0}, {1, 0}};
   struct Offer {
     float cost;
@@ -77,7 +78,8 @@ SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, co
   return offers;
 }
 
-// The gradient that the four direct neighbours suggest: central differences, one-sided at the border.
+// The gradient that the four direct neighbours suggest: central differences, one-sided at the
+// border.
 SIRPY_INLINE Plane WithNeighbourSlope(const Level& level, const Planes& planes, const Group& group,
                                       const Plane& plane) {
   Plane sloped = plane;

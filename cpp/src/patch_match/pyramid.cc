@@ -53,7 +53,8 @@ std::vector<uint8_t> Padded(const uint8_t* grey, int width, int height, int marg
   for (int y = -margin; y < height + margin; ++y) {
     const uint8_t* from = grey + int64_t(std::clamp(y, 0, height - 1)) * width;
     uint8_t* to = padded.data() + int64_t(y + margin) * stride;
-    for (int x = -margin; x < width + margin; ++x) to[x + margin] = from[std::clamp(x, 0, width - 1)];
+    for (int x = -margin; x < width + margin; ++x)
+      to[x + margin] = from[std::clamp(x, 0, width - 1)];
   }
   return padded;
 }

@@ -1,4 +1,5 @@
-// Random numbers that depend on what they are for, never on order: hash(seed, native pixel, level, draw).
+// Random numbers that depend on what they are for, never on order: hash(seed, native pixel, level,
+// draw).
 #pragma once
 
 #include <cstdint>

@@ -1,7 +1,8 @@
-// Which sources a pixel is matched against: joint view selection after Xu and Tao, "Multi-scale geometric
-// consistency guided multi-view stereo" (ACMM), CVPR 2019, section 3.2: a source is as good as the planes of
-// the neighbours look in it, and as the neighbours think of it. The best few by weight are taken instead of a
-// random draw: fewer costs to compute, and nothing depends on chance.
+// Which sources a pixel is matched against: joint view selection after Xu and Tao, "Multi-scale
+// geometric consistency guided multi-view stereo" (ACMM), CVPR 2019, section 3.2: a source is as
+// good as the planes of the neighbours look in it, and as the neighbours think of it. The best few
+// by weight are taken instead of a random draw: fewer costs to compute, and nothing depends on
+// chance.
 #pragma once
 
 #include "patch_match/ncc.h"
@@ -67,7 +68,8 @@ SIRPY_INLINE ViewWeights SelectViews(const Level& level, const KernelOptions& op
   return views;
 }
 
-// The `count` sources in which a plane looks best, with equal weights: for planes that no neighbour vouches for.
+// The `count` sources in which a plane looks best, with equal weights: for planes that no neighbour
+// vouches for.
 SIRPY_INLINE ViewWeights BestViews(int num_sources, int count, const Floats costs[kMaxSources]) {
   ViewWeights views;
   for (int j = 0; j < num_sources; ++j) views.weight[j] = kWorstCost - costs[j];
