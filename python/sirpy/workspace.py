@@ -105,6 +105,28 @@ class Workspace:
         return self.sfm / "sparse"
 
     @property
+    def sfm_images(self) -> Path:
+        """The decimated photographs, numbered in the order of their names."""
+        return self.sfm / "images"
+
+    @property
+    def sfm_database(self) -> Path:
+        return self.sfm / "database.db"
+
+    @property
+    def sfm_task(self) -> Path:
+        return self.sfm / "task.json"
+
+    @property
+    def sfm_log(self) -> Path:
+        return self.sfm / "log.txt"
+
+    @property
+    def sfm_left_out(self) -> Path:
+        """Photographs that are not in `sfm_model`, and why; written when that stage is complete."""
+        return self.sfm / "left_out.json"
+
+    @property
     def native_model(self) -> Path:
         return self.folder / "native"
 
@@ -123,6 +145,21 @@ class Workspace:
     @property
     def stereo(self) -> Path:
         return self.folder / "stereo"
+
+    def stereo_folder(self, kind: Literal["depth_maps", "normal_maps", "consistency_graphs"]) -> Path:
+        return self.stereo / kind
+
+    @property
+    def patch_match_config(self) -> Path:
+        return self.stereo / "patch-match.cfg"
+
+    @property
+    def fusion_config(self) -> Path:
+        return self.stereo / "fusion.cfg"
+
+    def run_script(self, of_pass: Pass) -> Path:
+        """Dense reconstruction by COLMAP, for those who prefer it."""
+        return self.folder / f"run-colmap-{of_pass}.sh"
 
     def image(self, sub_image: SubImage) -> Path:
         return self.images / sub_image.name

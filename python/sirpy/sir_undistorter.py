@@ -1,0 +1,167 @@
+"""`colmap sir_undistorter`: COLMAP's image_undistorter with recapture, on COLMAP's own option
+names.
+
+The output is the workspace of COLMAP's dense stereo (images, sparse, stereo, run scripts), with
+sub-images in place of photographs.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sirpy.errors import InputError, SirpyError
+from sirpy.progress import Progress
+from sirpy.rectangle import Grid
+from sirpy.undistorter_options import Options, parse
+
+if TYPE_CHECKING:
+    import pycolmap
+
+    from sirpy.lens import UndistortOptions
+
+_EXIT_USER_ERROR = 2
+
+
+class _Notes(Progress):
+    """Prints the notes; COLMAP's tools show no bars either."""
+
+    def note(self, text: str) -> None:
+        print(text, file=sys.stderr)
+
+
+def main(arguments: list[str]) -> int:
+    """Runs the command; the exit status: 0, or 2 after one sentence about what to mend."""
+    try:
+        options = parse(arguments)
+        for note in options.notes:
+            print(note, file=sys.stderr)
+        sir_undistorter(options, _Notes())
+    except SirpyError as error:
+        print(f"colmap sir_undistorter: {error}", file=sys.stderr)
+        return _EXIT_USER_ERROR
+    return 0
+
+
+def sir_undistorter(options: Options, progress: Progress) -> None:
+    """Undistorts and cuts the photographs, and writes COLMAP's dense workspace.
+
+    Raises:
+        InputError, OutputError, BudgetError: as `cutting.cut`, or no plan meets the memory.
+    """
+    if options.num_threads > 0:
+        os.environ["OMP_NUM_THREADS"] = str(options.num_threads)  # read when the core is loaded
+    from sirpy.colmap_workspace import write_dense_folder
+    from sirpy.cutting import cut
+    from sirpy.files import fingerprint
+    from sirpy.lens import UndistortOptions
+    from sirpy.model_files import model_identity, read_model
+
+    undistort = UndistortOptions(
+        **{field.name: getattr(options, field.name) for field in fields(UndistortOptions)}
+    )
+    names = _listed_names(options.image_list_path)
+    model = read_model(options.input_path)
+    if names is not None:
+        _keep_only(model, names, options)
+    workspace = cut(
+        options.image_path,
+        model,
+        options.output_path,
+        identity=fingerprint(model_identity(options.input_path), names),
+        grid=_grid(options, model, undistort),
+        overlap=options.sub_image_overlap,
+        jpeg_quality=options.jpeg_quality,
+        undistort=undistort,
+        progress=progress,
+    )
+    without_points = write_dense_folder(workspace, options.num_patch_match_src_images)
+    if without_points:
+        progress.note(
+            f"{len(without_points)} sub-images see no sparse point, so COLMAP could not tell their "
+            "depth range; stereo/patch-match.cfg leaves them out "
+            f"({', '.join(without_points[:3])}"
+            f"{' ...' if len(without_points) > 3 else ''})"
+        )
+
+
+def _listed_names(path: Path | None) -> list[str] | None:
+    if path is None:
+        return None
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"the image list {path} cannot be read ({error})") from None
+    names = sorted({line.strip() for line in lines} - {""})
+    if not names:
+        raise InputError(
+            f"the image list {path} is empty: write one image name a line, or leave it out"
+        )
+    return names
+
+
+def _keep_only(model: pycolmap.Reconstruction, names: list[str], options: Options) -> None:
+    """Takes the images that are not listed out of the model, with their observations."""
+    frames = {model.image(i).name: model.image(i).frame_id for i in model.reg_image_ids()}
+    if missing := [name for name in names if name not in frames]:
+        raise InputError(
+            f"{options.image_list_path} lists {missing[0]}, which is not in the model "
+            f"{options.input_path}: give names as they are in the model"
+        )
+    kept = {frames[name] for name in names}
+    if others := sorted({name for name, frame in frames.items() if frame in kept} - set(names)):
+        raise InputError(
+            f"{options.image_list_path} lists a part of a rig only: list {others[0]} too, "
+            "which was taken at the same moment"
+        )
+    for frame in sorted(set(frames.values()) - kept):
+        model.deregister_frame(frame)
+
+
+def _grid(options: Options, model: pycolmap.Reconstruction, undistort: UndistortOptions) -> Grid:
+    """The grid that the options ask for, of the three ways to choose it."""
+    if options.memory is None and options.max_sub_image_size is None:
+        columns, rows = options.sub_image_columns, options.sub_image_rows
+        return Grid(1 if columns is None else columns, 1 if rows is None else rows)
+    from sirpy.lens import undistorted_camera
+
+    cameras = {
+        camera_id: undistorted_camera(camera, undistort)
+        for camera_id, camera in model.cameras.items()
+    }
+    images = [model.image(image_id) for image_id in sorted(model.reg_image_ids())]
+    sizes = [(cameras[i.camera_id].width, cameras[i.camera_id].height) for i in images]
+    if options.memory is not None:
+        from sirpy.planning import grid_for_memory, parse_memory
+
+        return grid_for_memory(sizes, parse_memory(options.memory))
+    assert options.max_sub_image_size is not None
+    return grid_for_side(sizes, options.max_sub_image_size, options.sub_image_overlap)
+
+
+def grid_for_side(sizes: list[tuple[int, int]], longest_side: int, overlap: int) -> Grid:
+    """The fewest sub-images whose files, overlap included, are at most `longest_side` pixels.
+
+    Args:
+        sizes: (width, height) of the undistorted images in pixels.
+
+    Raises:
+        InputError: the overlap leaves no pixels.
+    """
+    core = longest_side - 2 * overlap
+    if core < 1:
+        raise InputError(
+            f"--max_sub_image_size {longest_side} leaves nothing between overlaps of {overlap} "
+            f"pixels: give at least {2 * overlap + 1}"
+        )
+    columns = max(_parts(width, longest_side, core) for width, _ in sizes)
+    rows = max(_parts(height, longest_side, core) for _, height in sizes)
+    return Grid(columns, rows)
+
+
+def _parts(side: int, longest: int, core: int) -> int:
+    """One part has no neighbour, hence no overlap."""
+    return 1 if side <= longest else -(-side // core)

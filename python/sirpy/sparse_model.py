@@ -1,0 +1,300 @@
+"""The sparse model: read from COLMAP's files, or made from photographs alone.
+
+Structure from motion sees photographs decimated to `max_size` pixels (the paper's 2304); its model
+is given in native pixels: native_from_decimated is (u, v) -> (u * W / w, v * H / h) in the cameras'
+coordinates (centre of the top-left pixel at (0.5, 0.5)), which keeps the corners of the photograph
+in place.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import sqlite3
+import subprocess
+import sys
+import threading
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from sirpy.errors import BudgetError, InputError
+from sirpy.files import file_identity, fingerprint, write_json
+from sirpy.model_files import model_identity, read_model
+from sirpy.photographs import decimate, find_photographs, photograph_size
+from sirpy.progress import Progress, Steps
+from sirpy.structure_from_motion import DecimatedPhotograph, Task, first_octave
+from sirpy.workspace import LeftOut, Workspace
+
+__all__ = ["SparseResult", "model_identity", "predicted_peak", "read_model", "sparse"]
+
+# One focal length and one radial term: as good as OPENCV's eight parameters on convergent views
+# once the principal point is free, nearer to the calibrated focal length on a short nadir strip,
+# and three times faster.
+DEFAULT_CAMERA_MODEL = "SIMPLE_RADIAL"
+
+_PROCESS = 0.15e9  # bytes of an interpreter with pycolmap and rasterio
+_SIFT = {
+    0: 90,
+    -1: 310,
+}  # bytes per decimated pixel of one extractor, by first octave; measured 81 and 297
+_NATIVE = 6  # bytes per native pixel while EXIF is read by COLMAP, which decodes the photograph
+_MAPPING = 12e6  # bytes per photograph of matches, tracks and bundle adjustment
+
+
+@dataclass(frozen=True)
+class SparseResult:
+    """`model`: folder of the COLMAP model in native pixels; `left_out`: photographs that are not in
+    it."""
+
+    model: Path
+    left_out: list[LeftOut]
+
+
+def predicted_peak(
+    width: int, height: int, count: int, threads: int, *, max_size: int = 2304
+) -> int:
+    """Peak memory in bytes of `sparse`, caller and child process together.
+
+    Two processes, and the largest of: reading EXIF (6 bytes per native pixel), features (90 bytes
+    per decimated pixel and thread, 310 where small photographs are upsampled), mapping (12 MB a
+    photograph).
+
+    Args:
+        width, height: size of a native photograph in pixels.
+        count: number of photographs.
+        threads: photographs whose features are found at once.
+    """
+    scale = min(1.0, max_size / max(width, height))
+    side = scale * max(width, height)
+    features = threads * _SIFT[first_octave(round(side))] * scale**2 * width * height
+    return int(2 * _PROCESS + max(_NATIVE * width * height, features, _MAPPING * count))
+
+
+def sparse(
+    images: Path,
+    output: Path,
+    *,
+    max_size: int = 2304,
+    camera_model: str = DEFAULT_CAMERA_MODEL,
+    memory: int | None = None,
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> SparseResult:
+    """Makes the sparse model of the photographs in `images`, in native pixels, in the workspace
+    `output`.
+
+    One camera per lens (by EXIF, else by folder, and by size), SIFT, matching, incremental mapping;
+    the largest model is kept. The result does not depend on `threads` or `memory`; the same command
+    continues a run that was killed.
+
+    Args:
+        max_size: longest side of the decimated photographs in pixels.
+        memory: bound in bytes on this process and its child together; None for no bound.
+
+    Raises:
+        InputError: fewer than two photographs are there, whole, or could be oriented.
+        BudgetError: not even one thread fits in `memory`.
+        OutputError: the workspace cannot be written.
+    """
+    progress = progress or Progress()
+    workspace = Workspace(output)
+    names = find_photographs(images)
+    inputs = fingerprint(
+        [(name, *file_identity(images / name)) for name in names], max_size, camera_model
+    )
+    if workspace.begin_stage("sparse", inputs) and workspace.sfm_left_out.is_file():
+        return SparseResult(workspace.sfm_model, _read_left_out(workspace))
+    sizes, left_out = _native_sizes(images, names, progress)
+    extractors = _extractors(list(sizes.values()), threads, memory, max_size)
+    photographs = _decimated(images, sizes, workspace, max_size, left_out, progress)
+    if len(photographs) < 2:
+        raise InputError(
+            f"{images} has {len(photographs)} usable photograph(s): structure from motion needs "
+            "at least two that overlap" + "".join(f"; {out.reason}" for out in left_out[:3])
+        )
+    task = Task(
+        images=str(images.resolve()),
+        decimated=str(workspace.sfm_images.resolve()),
+        database=str(workspace.sfm_database.resolve()),
+        model=str(workspace.sfm_model.resolve()),
+        photographs=tuple(photographs),
+        camera_model=camera_model,
+        extractors=extractors,
+        threads=threads,
+    )
+    registered = _run(task, workspace, progress)
+    for photograph in photographs:
+        if photograph.name not in registered:
+            reason = "it could not be oriented: too few matches with the other photographs"
+            _leave_out(photograph.name, reason, left_out, progress)
+    left_out.sort(key=lambda out: out.name)
+    # Written last: it says that the stage is complete.
+    write_json(workspace.sfm_left_out, [asdict(out) for out in left_out])
+    return SparseResult(workspace.sfm_model, left_out)
+
+
+def _native_sizes(
+    images: Path, names: list[str], progress: Progress
+) -> tuple[dict[str, tuple[int, int]], list[LeftOut]]:
+    """(width, height) of each photograph that has a header."""
+    sizes: dict[str, tuple[int, int]] = {}
+    left_out: list[LeftOut] = []
+    for name in names:
+        try:
+            sizes[name] = photograph_size(images / name)
+        except InputError as error:
+            _leave_out(name, str(error), left_out, progress)
+    return sizes, left_out
+
+
+def _leave_out(name: str, reason: str, left_out: list[LeftOut], progress: Progress) -> None:
+    left_out.append(LeftOut(name, reason))
+    progress.note(f"{name} is left out: {reason}")
+
+
+def _decimated(
+    images: Path,
+    sizes: dict[str, tuple[int, int]],
+    workspace: Workspace,
+    max_size: int,
+    left_out: list[LeftOut],
+    progress: Progress,
+) -> list[DecimatedPhotograph]:
+    """Decimates each photograph that is not yet; the damaged ones join `left_out`."""
+    photographs = []
+    workspace.sfm_images.mkdir(parents=True, exist_ok=True)
+    with progress.stage("decimating", len(sizes), "photograph") as steps:
+        for index, (name, size) in enumerate(sizes.items()):
+            # Numbers, since COLMAP's list of pairs cannot hold names with spaces.
+            target = workspace.sfm_images / f"{index:06d}.jpg"
+            try:
+                if not target.is_file():
+                    decimate(images / name, target, max_size)
+                photographs.append(
+                    DecimatedPhotograph(name, *size, target.name, *photograph_size(target))
+                )
+            except InputError as error:
+                _leave_out(name, str(error), left_out, progress)
+            steps.advance()
+    return photographs
+
+
+def _extractors(
+    sizes: list[tuple[int, int]], threads: int, memory: int | None, max_size: int
+) -> int:
+    """Photographs whose features are found at once: `threads`, or as many as the memory holds."""
+    if memory is None or not sizes:
+        return threads
+    width, height = max(sizes, key=lambda size: size[0] * size[1])
+    count = len(sizes)
+    for extractors in range(threads, 0, -1):
+        if predicted_peak(width, height, count, extractors, max_size=max_size) <= memory:
+            return extractors
+    least = predicted_peak(width, height, count, 1, max_size=max_size)
+    raise BudgetError(
+        f"structure from motion on {count} photographs of {width}x{height} pixels needs "
+        f"{least / 1e9:.1f} GB, more than --memory allows ({memory / 1e9:.1f} GB): allow more, or "
+        "give a sparse model with --model"
+    )
+
+
+def _run(task: Task, workspace: Workspace, progress: Progress) -> set[str]:
+    """Runs structure from motion in a process of its own; the names of the oriented photographs.
+
+    Raises:
+        InputError: the process found the input unusable, or did not end well.
+    """
+    task.write(workspace.sfm_task)
+    reading, writing = os.pipe()
+    command = [sys.executable, "-m", "sirpy.structure_from_motion", str(workspace.sfm_task)]
+    with os.fdopen(reading, encoding="utf-8") as messages, workspace.sfm_log.open("ab") as log:
+        process = subprocess.Popen(
+            [*command, str(writing), str(os.getpid())],
+            pass_fds=(writing,),
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            # VLFeat's own threads would multiply with the extractors.
+            env={**os.environ, "OMP_NUM_THREADS": str(max(1, task.threads // task.extractors))},
+        )
+        os.close(writing)
+        try:
+            last = _follow(messages, workspace.sfm_database, progress)
+            status = process.wait()
+        finally:
+            process.kill()
+            process.wait()
+    if "error" in last:
+        raise InputError(last["error"])
+    if status != 0 or "registered" not in last:
+        how = f"was ended by signal {-status}" if status < 0 else f"failed (exit status {status})"
+        raise InputError(
+            f"structure from motion on {task.images} {how}: the end of {workspace.sfm_log} says why"
+        )
+    return set(last["registered"])
+
+
+def _follow(messages: IO[str], database: Path, progress: Progress) -> dict[str, Any]:
+    """Shows the messages of the process as progress; the last one is its result."""
+    lines: queue.Queue[str | None] = queue.Queue()
+
+    def read() -> None:
+        for line in messages:
+            lines.put(line)
+        lines.put(None)
+
+    threading.Thread(target=read, daemon=True).start()
+    last: dict[str, Any] = {}
+    table: str | None = None
+    steps, done, total = Steps(), 0, 0
+    with ExitStack() as stages:
+        while True:
+            try:
+                line = lines.get(timeout=0.5)
+            except queue.Empty:
+                now = min(total, _rows(database, table)) if table else done
+            else:
+                if line is None:
+                    return last
+                last = json.loads(line)
+                if "stage" in last:
+                    if table:  # that stage has ended since the last look
+                        steps.advance(total - done)
+                    stages.close()
+                    stage = progress.stage(last["stage"], last["total"], last["unit"])
+                    steps, done = stages.enter_context(stage), 0
+                    total, table = last["total"], last["table"]
+                if "note" in last:
+                    progress.note(last["note"])
+                now = last.get("done", done)
+            steps.advance(max(0, now - done))
+            done = max(done, now)
+
+
+def _rows(database: Path, table: str) -> int:
+    """Rows of a table of the database that COLMAP is writing.
+
+    Never from the process that runs COLMAP: two copies of SQLite in one process break each other's
+    locks, and the memory that they map with it.
+    """
+    try:
+        with closing(
+            sqlite3.connect(f"file:{database}?mode=ro", uri=True, timeout=0.1)
+        ) as connection:
+            (count,) = connection.execute(f"SELECT COUNT(*) FROM {table}").fetchone()
+            return int(count)
+    except sqlite3.Error:
+        return 0  # busy; the next look will tell
+
+
+def _read_left_out(workspace: Workspace) -> list[LeftOut]:
+    try:
+        entries = json.loads(workspace.sfm_left_out.read_text(encoding="utf-8"))
+        return [LeftOut(entry["name"], entry["reason"]) for entry in entries]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{workspace.sfm_left_out} is damaged ({error}): delete {workspace.sfm} and run again"
+        ) from None

@@ -1,0 +1,211 @@
+"""The options of `colmap sir_undistorter`: those of `colmap image_undistorter`, 3.8 and 4.x, and
+the grid.
+
+Written as COLMAP writes them: `--name value` or `--name=value`, or `name=value` lines in the file
+that `--project_path` names, which the command line overrides.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, NoReturn
+
+from sirpy.errors import InputError
+
+_LOGGING = (
+    "log_to_stderr",
+    "log_level",
+    "log_target",
+    "log_path",
+    "log_severity",
+    "log_color",
+)
+_RANDOM = ("random_seed", "default_random_seed")
+_JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line says, checked on its own; sizes in pixels, `roi_*` and `blank_pixels`
+    are fractions."""
+
+    image_path: Path
+    input_path: Path
+    output_path: Path
+    image_list_path: Path | None
+    num_patch_match_src_images: int
+    blank_pixels: float
+    min_scale: float
+    max_scale: float
+    max_image_size: int
+    roi_min_x: float
+    roi_min_y: float
+    roi_max_x: float
+    roi_max_y: float
+    jpeg_quality: int
+    num_threads: int
+    sub_image_columns: int | None
+    sub_image_rows: int | None
+    max_sub_image_size: int | None
+    memory: str | None
+    sub_image_overlap: int
+    notes: tuple[str, ...]
+
+
+def parse(arguments: list[str]) -> Options:
+    """The options of a command line and of its project file.
+
+    Raises:
+        InputError: an option is unknown, missing, or has an impossible value.
+        SystemExit: after `--help`.
+    """
+    parser = _parser()
+    project = _project_file(arguments)
+    # The project file comes first, so that the command line has the last word.
+    names = vars(parser.parse_args([]))
+    known = {name: value for name, value in project.items() if name in names}
+    given = [f"--{name}={value}" for name, value in known.items()] + arguments
+    values = vars(parser.parse_args(given))
+    notes = _notes(values)
+    if others := [name for name in project if name not in known]:
+        some = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
+        notes.append(f"not used from the project file, being of other commands: {some}")
+    return _checked(values, notes)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}: see colmap sir_undistorter --help")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="colmap sir_undistorter",
+        description="Undistorts the photographs of a sparse model and cuts them into sub-images, "
+        "each with its own recapture camera: the workspace of dense reconstruction at native "
+        "resolution.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    paths = parser.add_argument_group("input and output")
+    paths.add_argument("--project_path", type=Path, help="file of name=value options (.ini)")
+    paths.add_argument("--image_path", type=Path, help="folder of the photographs (required)")
+    paths.add_argument("--input_path", type=Path, help="folder of the sparse model (required)")
+    paths.add_argument("--output_path", type=Path, help="folder of the workspace (required)")
+    paths.add_argument("--output_type", default="COLMAP", help="COLMAP only")
+    paths.add_argument("--image_list_path", type=Path, help="file of the names to use, one a line")
+    paths.add_argument(
+        "--copy_policy", default="copy", help="sub-images are always files of their own"
+    )
+    paths.add_argument("--jpeg_quality", type=int, default=-1, help="1 to 100; -1 is 95")
+    paths.add_argument(
+        "--num_patch_match_src_images", type=int, default=20, help="in patch-match.cfg"
+    )
+    paths.add_argument("--num_threads", type=int, default=-1, help="-1 is one per core")
+    grid = parser.add_argument_group("sub-images (one of the three; without any, 1 x 1)")
+    grid.add_argument("--sub_image_columns", type=int, help="columns of sub-images per photograph")
+    grid.add_argument("--sub_image_rows", type=int, help="rows of sub-images per photograph")
+    grid.add_argument("--max_sub_image_size", type=int, help="longest side in pixels")
+    grid.add_argument("--memory", help="what dense stereo may take, e.g. 8GB")
+    grid.add_argument("--sub_image_overlap", type=int, default=0, help="pixels on every side")
+    camera = parser.add_argument_group("the undistorted camera, as in image_undistorter")
+    camera.add_argument("--blank_pixels", type=float, default=0.0)
+    camera.add_argument("--min_scale", type=float, default=0.2)
+    camera.add_argument("--max_scale", type=float, default=2.0)
+    camera.add_argument("--max_image_size", type=int, default=-1, help="decimates; -1 does not")
+    for name, default in (("min_x", 0.0), ("min_y", 0.0), ("max_x", 1.0), ("max_y", 1.0)):
+        camera.add_argument(f"--roi_{name}", type=float, default=default)
+    harmless = parser.add_argument_group("accepted for COLMAP's sake, without effect")
+    for name in (*_RANDOM, *_LOGGING):
+        harmless.add_argument(f"--{name}")
+    return parser
+
+
+def _project_file(arguments: list[str]) -> dict[str, str]:
+    """The options in the file of `--project_path`, if there is one."""
+    finder = _Parser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--project_path", type=Path)
+    path: Path | None = finder.parse_known_args(arguments)[0].project_path
+    if path is None:
+        return {}
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"the project file {path} cannot be read ({error})") from None
+    options: dict[str, str] = {}
+    section = ""
+    for number, line in enumerate(lines, start=1):
+        text = line.split("#", 1)[0].strip()
+        if text.startswith("[") and text.endswith("]"):
+            section = text[1:-1]
+        elif text:
+            name, equals, value = (part.strip() for part in text.partition("="))
+            if not equals:
+                raise InputError(f"{path}, line {number}: {text!r} is not a name=value option")
+            if section:
+                name = f"{section}.{name}"
+            if value:
+                options[name] = value
+    return options
+
+
+def _checked(values: dict[str, Any], notes: list[str]) -> Options:
+    for name in ("image_path", "input_path", "output_path"):
+        if values[name] is None:
+            raise InputError(f"--{name} is missing: see colmap sir_undistorter --help")
+    if values["output_type"] != "COLMAP":
+        raise InputError(
+            f"--output_type {values['output_type']} is not supported yet: "
+            "leave it out, or give COLMAP"
+        )
+    if _plain(values["copy_policy"]) not in ("copy", "softlink", "hardlink"):
+        raise InputError(
+            f"--copy_policy {values['copy_policy']} is not one of copy, soft-link and hard-link"
+        )
+    if values["jpeg_quality"] == -1:  # COLMAP's word for its default
+        values["jpeg_quality"] = _JPEG_QUALITY
+    _check_range(values, "jpeg_quality", 1, 100)
+    for name in ("num_patch_match_src_images", "sub_image_columns", "sub_image_rows"):
+        _check_range(values, name, 1)
+    _check_range(values, "max_sub_image_size", 1)
+    _check_range(values, "sub_image_overlap", 0)
+    by_count = values["sub_image_columns"] is not None or values["sub_image_rows"] is not None
+    ways = [by_count, values["max_sub_image_size"] is not None, values["memory"] is not None]
+    if sum(ways) > 1:
+        raise InputError(
+            "--sub_image_columns and --sub_image_rows, --max_sub_image_size, and --memory are three "
+            "ways to choose the grid: give one of them"
+        )
+    return Options(
+        **{field.name: values[field.name] for field in fields(Options) if field.name != "notes"},
+        notes=tuple(notes),
+    )
+
+
+def _check_range(values: dict[str, Any], name: str, least: int, most: int | None = None) -> None:
+    value = values[name]
+    if value is not None and (value < least or (most is not None and value > most)):
+        bound = f"at least {least}" if most is None else f"{least} to {most}"
+        raise InputError(f"--{name} = {value}: it must be {bound}")
+
+
+def _notes(values: dict[str, Any]) -> list[str]:
+    """What is accepted and does nothing."""
+    notes = []
+    if _plain(str(values["copy_policy"])) in ("softlink", "hardlink"):
+        notes.append(
+            f"--copy_policy {values['copy_policy']} has no effect: every sub-image is a new file"
+        )
+    if without := [name for name in (*_RANDOM, *_LOGGING) if values[name] is not None]:
+        verb = "has" if len(without) == 1 else "have"
+        notes.append(
+            ", ".join(f"--{name}" for name in without)
+            + f" {verb} no effect: nothing is random here, and messages go to stderr"
+        )
+    return notes
+
+
+def _plain(policy: str) -> str:
+    """COLMAP 3.8 writes soft-link, 4.x SOFT_LINK."""
+    return policy.lower().replace("-", "").replace("_", "")

@@ -1,0 +1,62 @@
+"""Data flows one way: a module imports only from the stages before it."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import sirpy
+
+PACKAGE = Path(sirpy.__file__).parent
+# Each line may import from the lines above it, and from modules to its left.
+LAYERS = """
+    errors files rectangle resources
+    workspace progress
+    _core
+    photographs exif ply pictures
+    truth flight synthetic
+    model_files self_calibration structure_from_motion sparse_model
+    planning
+    lens sub_image_model cutting windows
+    colmap_workspace undistorter_options sir_undistorter colmap_launcher
+    native_scene view_selection
+    dense_stereo
+    fusion
+    html_report
+    pipeline
+    cli
+"""
+PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
+
+
+def imports(module: str) -> set[str]:
+    """The modules of this package that `module` imports, at its top or inside its functions."""
+    tree = ast.parse((PACKAGE / f"{module}.py").read_text(encoding="utf-8"))
+    found = set()
+    for node in ast.walk(tree):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module == "sirpy":
+            names = [f"sirpy.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}.py imports relative to itself: write sirpy.NAME"
+            names = [node.module or ""]
+        found |= {name.split(".")[1] for name in names if name.startswith("sirpy.")}
+    return found & PLACES.keys()
+
+
+def test_every_module_has_its_place() -> None:
+    modules = {path.stem for path in PACKAGE.glob("*.py")}
+    missing = modules - PLACES.keys()
+    assert not missing, f"say in LAYERS ({__file__}) which stages {sorted(missing)} come after"
+
+
+def test_modules_import_only_from_stages_before_them() -> None:
+    backwards = [
+        f"{module} imports {imported}"
+        for module in sorted(path.stem for path in PACKAGE.glob("*.py"))
+        for imported in sorted(imports(module))
+        if PLACES.get(imported, -1) >= PLACES.get(module, len(PLACES))
+    ]
+    assert not backwards

@@ -1,0 +1,129 @@
+"""`colmap sir_undistorter` from photographs and a model to a workspace that COLMAP takes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from bumpy_ground import FOCAL, HEIGHT, WIDTH, write_photographs
+from sirpy.errors import InputError
+from sirpy.rectangle import Grid
+from sirpy.sir_undistorter import grid_for_side, main
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> list[str]:
+    """The path options of two photographs whose points lie in their left halves."""
+    names = ["1.jpg", "2.jpg"]
+    write_photographs(tmp_path / "photographs", names)
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", FOCAL, WIDTH, HEIGHT)
+    model.add_camera_with_trivial_rig(camera)
+    generator = np.random.default_rng(5)
+    points = generator.uniform([-2.5, -3, 9], [-1, 3, 11], (30, 3))
+    for image_id, name in enumerate(names, start=1):
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.1 * image_id, 0.0, 0.0]))
+        pixels = np.array([camera.img_from_cam(pose * point) for point in points])
+        image = pycolmap.Image(name=name, camera_id=1, image_id=image_id, keypoints=pixels)
+        model.add_image_with_trivial_frame(image, pose)
+    for index, point in enumerate(points):
+        track = pycolmap.Track()
+        for image_id in (1, 2):
+            track.add_element(image_id, index)
+        model.add_point3D(point, track)
+    (tmp_path / "model").mkdir()
+    model.write_binary(tmp_path / "model")
+    folders = {"image": "photographs", "input": "model", "output": "out"}
+    return [f"--{option}_path={tmp_path / folder}" for option, folder in folders.items()]
+
+
+def test_the_workspace_is_colmaps(
+    inputs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    arguments = ["--sub_image_columns=2", "--sub_image_overlap=8", "--num_patch_match_src_images=3"]
+    assert main([*inputs, *arguments]) == 0
+    images = sorted(path.name for path in (out / "images").iterdir())
+    assert len(images) == 4
+    model = pycolmap.Reconstruction(out / "sparse")
+    assert sorted(model.image(i).name for i in model.reg_image_ids()) == images
+    assert {camera.width for camera in model.cameras.values()} == {WIDTH // 2 + 8}
+    # The right halves see no point, so COLMAP could not tell their depth range.
+    left = [name for name in images if "c00" in name]
+    lines = (out / "stereo" / "patch-match.cfg").read_text().splitlines()
+    assert lines == [line for name in left for line in (name, "__auto__, 3")]
+    assert (out / "stereo" / "fusion.cfg").read_text().splitlines() == left
+    assert "2 sub-images see no sparse point" in capsys.readouterr().err
+    for folder in ("depth_maps", "normal_maps", "consistency_graphs"):
+        assert list((out / "stereo" / folder).iterdir()) == []
+
+
+def test_the_run_scripts_call_colmap_at_full_resolution(inputs: list[str], tmp_path: Path) -> None:
+    assert main(inputs) == 0
+    fake = tmp_path / "fake colmap"
+    fake.write_text('#!/bin/sh\nfor word in "$@"; do printf "%s|" "$word"; done\necho\n')
+    fake.chmod(0o755)
+    workspace = tmp_path / "out"
+    for kind in ("geometric", "photometric"):
+        done = subprocess.run(
+            [workspace / f"run-colmap-{kind}.sh"],
+            cwd="/",
+            env={**os.environ, "COLMAP": str(fake)},
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        stereo, fusion, mesher = done.stdout.splitlines()
+        assert stereo.startswith(f"patch_match_stereo|--workspace_path|{workspace}|")
+        assert "--PatchMatchStereo.max_image_size|-1|" in stereo
+        assert f"geom_consistency|{'true' if kind == 'geometric' else 'false'}|" in stereo
+        assert f"--input_type|{kind}|" in fusion
+        assert mesher.startswith("poisson_mesher|")
+
+
+def test_only_the_listed_images_are_cut(inputs: list[str], tmp_path: Path) -> None:
+    names = tmp_path / "names.txt"
+    names.write_text("2.jpg\n\n")
+    assert main([*inputs, f"--image_list_path={names}"]) == 0
+    (image,) = (tmp_path / "out" / "images").iterdir()
+    assert image.name.startswith("2_")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--image_list_path=LIST"], "lists nowhere.jpg, which is not in the model"),
+        (["--roi_min_x=0.9", "--roi_max_x=0.1"], "roi_m"),
+        (["--sub_image_columns=1000"], "larger than an image"),
+        (["--max_sub_image_size=100", "--sub_image_overlap=50"], "at least 101"),
+        (["--input_path=/nowhere"], "/nowhere"),
+    ],
+)
+def test_mistakes_are_one_sentence_and_status_2(
+    inputs: list[str],
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "list").write_text("nowhere.jpg\n")
+    words = [word.replace("LIST", str(tmp_path / "list")) for word in arguments]
+    assert main([*inputs, *words]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out" / "sir.json").exists()
+
+
+def test_grid_for_side_counts_the_overlap() -> None:
+    sizes = [(1000, 500), (900, 700)]
+    assert grid_for_side(sizes, 1000, 50) == Grid(1, 1)
+    assert grid_for_side(sizes, 500, 0) == Grid(2, 2)
+    assert grid_for_side(sizes, 500, 10) == Grid(3, 2)
+    with pytest.raises(InputError, match="at least 21"):
+        grid_for_side(sizes, 20, 10)
