@@ -1,6 +1,6 @@
-// InputError: the user's data is at fault (a broken photograph, a bad size); OutputError: a file cannot be
-// written (no permission, a full disk). The message says what, where and how to mend it. A mistake in the
-// code throws std::invalid_argument or std::logic_error.
+// InputError: the user's data is at fault (a broken photograph, a bad size); OutputError: a file
+// cannot be written (no permission, a full disk). The message says what, where and how to mend it.
+// A mistake in the code throws std::invalid_argument or std::logic_error.
 #pragma once
 
 #include <stdexcept>

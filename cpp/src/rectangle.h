@@ -1,6 +1,6 @@
-// A rectangle of whole pixels of an image: pixel (x, y) is inside when x0 <= x < x0 + width, and the same
-// in y. x to the right, y down, (0, 0) is the top-left pixel. Coordinates are signed; a rectangle may
-// reach beyond the image.
+// A rectangle of whole pixels of an image: pixel (x, y) is inside when x0 <= x < x0 + width, and
+// the same in y. x to the right, y down, (0, 0) is the top-left pixel. Coordinates are signed; a
+// rectangle may reach beyond the image.
 #pragma once
 
 #include <cstdint>

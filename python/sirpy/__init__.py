@@ -1,9 +1,75 @@
-"""sirpy: dense 3D reconstruction at native resolution by sub-image recapture."""
+"""sirpy: dense 3D reconstruction at native resolution by sub-image recapture.
+
+Each stage is a function, and a command of the same name: `sparse`, `plan`, `cut`, `views`, `stereo`, `fuse`,
+`report`; `reconstruct` runs them all. They are imported at use, so that `import sirpy` is quick.
+"""
+
+from __future__ import annotations
 
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
 # Before the C++ core is loaded: idle OpenMP threads sleep. While rows are decoded by one thread the
 # others would otherwise spin, which doubles the CPU time of a cut.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+if TYPE_CHECKING:
+    from sirpy.cutting import cut
+    from sirpy.dense_stereo import StereoOptions, stereo
+    from sirpy.errors import SirpyError
+    from sirpy.fusion import FusionOptions, fuse
+    from sirpy.html_report import report
+    from sirpy.pipeline import reconstruct
+    from sirpy.planning import plan
+    from sirpy.rectangle import Grid, Rectangle
+    from sirpy.sparse_model import read_model, sparse
+    from sirpy.view_selection import views
+    from sirpy.windows import read_window
+    from sirpy.workspace import Workspace
+
+_HOME = {
+    "FusionOptions": "fusion",
+    "Grid": "rectangle",
+    "Rectangle": "rectangle",
+    "SirpyError": "errors",
+    "StereoOptions": "dense_stereo",
+    "Workspace": "workspace",
+    "cut": "cutting",
+    "fuse": "fusion",
+    "plan": "planning",
+    "read_model": "sparse_model",
+    "read_window": "windows",
+    "reconstruct": "pipeline",
+    "report": "html_report",
+    "sparse": "sparse_model",
+    "stereo": "dense_stereo",
+    "views": "view_selection",
+}
+
+__all__ = [
+    "FusionOptions",
+    "Grid",
+    "Rectangle",
+    "SirpyError",
+    "StereoOptions",
+    "Workspace",
+    "cut",
+    "fuse",
+    "plan",
+    "read_model",
+    "read_window",
+    "reconstruct",
+    "report",
+    "sparse",
+    "stereo",
+    "views",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'sirpy' has no attribute '{name}'")
+    return getattr(import_module(f"sirpy.{_HOME[name]}"), name)

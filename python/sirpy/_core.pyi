@@ -67,3 +67,166 @@ def read_window(
     path: Path, x0: int, y0: int, width: int, height: int, color: bool
 ) -> NDArray[np.uint8]:
     """A rectangle of a JPEG or PNG file: height x width grey, or height x width x 3 RGB."""
+
+# ---- stereo (sirpy.dense_stereo); maps of normals are (3, height, width)
+
+class PatchMatchOptions:
+    """Units and bounds: cpp/src/patch_match_sir.h."""
+
+    min_depth: float
+    max_depth: float
+    levels: int
+    coarsest_iterations: int
+    middle_iterations: int
+    native_iterations: int
+    geometric_iterations: int
+    native_offers: int
+    top_views: int
+    color_sigma: float
+    space_sigma: float
+    geometric_weight: float
+    max_geometric_error: float
+    consistency: float
+    prior_variance: float
+    seed: int
+    threads: int
+    def __init__(self) -> None: ...
+    def validate(self) -> None:
+        """ValueError names field, value and bound."""
+
+class ViewWindow:
+    """A window of a native image, its camera and what is known of its depth."""
+
+    def __init__(
+        self,
+        *,
+        intrinsics: NDArray[np.float64],
+        cam_from_world: NDArray[np.float64],
+        x0: int,
+        y0: int,
+        grey: NDArray[np.uint8],
+        depth: NDArray[np.float32] | None = None,
+        normal: NDArray[np.float32] | None = None,
+    ) -> None: ...
+
+def patch_match(
+    reference: ViewWindow,
+    sources: Sequence[ViewWindow],
+    points: NDArray[np.float64],
+    options: PatchMatchOptions,
+) -> tuple[
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.uint8],
+    NDArray[np.uint8],
+]:
+    """(depth, normal, cost, sources that see, sources that agree); points: n x (x, y, depth)."""
+
+def patch_match_bytes_per_pixel(geometric: bool) -> tuple[int, int]:
+    """Of the reference window, and of each source window."""
+
+def instruction_set() -> str: ...
+
+# ---- fusion (sirpy.fusion)
+
+class FusionOptions:
+    """Units and bounds: cpp/src/fusion.h."""
+
+    min_consistent: int
+    consistency: float
+    yield_shift: float
+    yield_footprint: float
+    keep_duplicates: bool
+    threads: int
+    def __init__(self) -> None: ...
+    def validate(self) -> None:
+        """ValueError names field, value and bound."""
+
+class DepthView:
+    """A window of depths of a native image, its camera and its rank (the lower emits)."""
+
+    def __init__(
+        self,
+        *,
+        intrinsics: NDArray[np.float64],
+        cam_from_world: NDArray[np.float64],
+        x0: int,
+        y0: int,
+        rank: int,
+        depth: NDArray[np.float32],
+    ) -> None: ...
+
+def fuse(
+    reference: DepthView,
+    normal: NDArray[np.float32],
+    sources: Sequence[DepthView],
+    options: FusionOptions,
+) -> tuple[
+    NDArray[np.float64], NDArray[np.float32], NDArray[np.int64], NDArray[np.uint8], int, int
+]:
+    """(positions, normals, pixels, views that agree, inconsistent pixels, yielded pixels)."""
+
+# ---- synthetic scenes (sirpy.synthetic, sirpy.truth)
+
+class Surface:
+    """Triangles in world coordinates; a ray or a point is asked for by rows of (n, 3) float64."""
+
+    def __init__(self, vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> None: ...
+    @property
+    def vertices(self) -> NDArray[np.float64]: ...
+    @property
+    def triangles(self) -> NDArray[np.int32]: ...
+    def cast(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """t of the first hit at origin + t * direction for each; infinity where there is none."""
+
+    def sees(
+        self, viewpoint: NDArray[np.float64], points: NDArray[np.float64], tolerance: float
+    ) -> NDArray[np.bool_]: ...
+    def distances(self, points: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+        """Distance to the surface; infinity above `limit`."""
+
+    def sample(
+        self,
+        spacing: float,
+        seed: int,
+        minimum: NDArray[np.float64],
+        maximum: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points and normals, one for each spacing^2 of area with minimum <= (x, y) < maximum."""
+
+class SceneOptions:
+    seed: int
+    half_extent: float
+    terrain_step: float
+    finest_detail: float
+    def __init__(self) -> None: ...
+
+class RenderOptions:
+    samples: int
+    sun: NDArray[np.float64]
+    noise: float
+    seed: int
+    threads: int
+    def __init__(self) -> None: ...
+
+class Scene:
+    def __init__(self, options: SceneOptions) -> None: ...
+    @property
+    def surface(self) -> Surface: ...
+    def render(
+        self,
+        nodes: NDArray[np.float64],
+        first_row: int,
+        centre: NDArray[np.float64],
+        world_from_cam: NDArray[np.float64],
+        options: RenderOptions,
+    ) -> NDArray[np.uint8]:
+        """RGB (rows, columns, 3) from rays at pixel corners, (rows + 1, columns + 1, 2)."""
+
+def nearest_distances(
+    queries: NDArray[np.float64], points: NDArray[np.float64], limit: float
+) -> NDArray[np.float64]:
+    """Distance from each query to the nearest point; infinity above `limit`."""

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,8 @@ def written_whole(path: Path) -> Iterator[Path]:
             "output folder, then run the same command again"
         ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # also when its folder could not be made: the error above says more
+            temporary.unlink()
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -51,7 +51,7 @@ def read_map_window(
     kind: Literal["depth", "normal"],
     of_pass: Pass = "geometric",
 ) -> NDArray[np.float32]:
-    """`rectangle` of a depth map, (height, width), or of a normal map, (height, width, 3).
+    """`rectangle` of a depth map, (height, width), or of a normal map, (3, height, width).
 
     Raises:
         ValueError: the rectangle is not inside the native image.
@@ -60,30 +60,38 @@ def read_map_window(
     path_of: Callable[[SubImage, Pass], Path] = (
         workspace.depth_map if kind == "depth" else workspace.normal_map
     )
-    shape = (rectangle.height, rectangle.width) + ((3,) if kind == "normal" else ())
-    window = np.empty(shape, np.float32)
+    channels = 1 if kind == "depth" else 3
+    window = np.empty((channels, rectangle.height, rectangle.width), np.float32)
     for sub, part in _parts(native, rectangle):
-        path = path_of(sub, of_pass)
-        planes = _open_map(path)
-        if planes.shape != (len(shape) * 2 - 3, sub.stored.height, sub.stored.width):
-            raise InputError(
-                f"map {path} has the shape {planes.shape}, which its sub-image {sub.name} has not: "
-                "delete it and run the stereo again"
-            )
+        planes = open_map(path_of(sub, of_pass), sub.stored, channels)
         pixels = planes[(slice(None), *part.slices_in(sub.stored))]
-        target = window[part.slices_in(rectangle)]
-        target[...] = pixels[0] if kind == "depth" else np.moveaxis(pixels, 0, 2)
-    return window
+        window[(slice(None), *part.slices_in(rectangle))] = pixels
+    return window[0] if kind == "depth" else window
+
+
+def open_map(path: Path, stored: Rectangle, channels: int = 1) -> NDArray[np.float32]:
+    """The map of a sub-image, (channels, height, width), on disk: rows are read when they are used.
+
+    Raises:
+        InputError: the map is missing, truncated, or of another size than its sub-image.
+    """
+    planes = _open_map(path)
+    if planes.shape != (channels, stored.height, stored.width):
+        raise InputError(
+            f"map {path} has the shape {planes.shape}, but its sub-image "
+            f"{(channels, stored.height, stored.width)}: delete it and run the stereo again"
+        )
+    return planes
 
 
 def read_map(path: Path) -> NDArray[np.float32]:
-    """A whole map: (height, width), or (height, width, channels). Raises InputError as above."""
+    """A whole map: (height, width), or (channels, height, width). Raises InputError as above."""
     planes = np.array(_open_map(path))
-    return planes[0] if len(planes) == 1 else np.ascontiguousarray(np.moveaxis(planes, 0, 2))
+    return planes[0] if len(planes) == 1 else planes
 
 
 def write_map(path: Path, array: NDArray[np.float32]) -> None:
-    """Writes a map, (height, width) or (height, width, channels), whole or not at all.
+    """Writes a map, (height, width) or (channels, height, width), whole or not at all.
 
     Raises:
         ValueError: the array has another number of dimensions, or is not float32.
@@ -91,12 +99,12 @@ def write_map(path: Path, array: NDArray[np.float32]) -> None:
     """
     if array.ndim not in (2, 3) or array.dtype != np.float32:
         raise ValueError(f"a map is float32 of 2 or 3 dimensions, not {array.dtype} {array.shape}")
-    height, width = array.shape[:2]
-    planes = array.reshape(height, width, -1).transpose(2, 0, 1)
+    planes = array[None] if array.ndim == 2 else array
+    channels, height, width = planes.shape
     with written_whole(path) as temporary, temporary.open("wb") as file:
-        file.write(f"{width}&{height}&{len(planes)}&".encode())
+        file.write(f"{width}&{height}&{channels}&".encode())
         for plane in planes:
-            file.write(plane.astype("<f4").tobytes())
+            file.write(plane.astype("<f4", copy=False).tobytes())
 
 
 def _parts(native: NativeImage, rectangle: Rectangle) -> Iterator[tuple[SubImage, Rectangle]]:

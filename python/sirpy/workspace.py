@@ -8,7 +8,8 @@ OUT/images/              the sub-images NAME_rRR_cCC.ext
 OUT/sparse/              COLMAP model of the sub-images
 OUT/views.json           sources, depth range and source windows of each sub-image
 OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
-OUT/fused.ply, OUT/report.html, OUT/run.json
+OUT/fusion/              the points of each sub-image
+OUT/fused.ply, OUT/cloud.png, OUT/report.html, OUT/run.json
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/reason_maps",
     ),
     "fuse": ("fusion", "fused.ply"),
-    "report": ("report.html", "report"),
+    "report": ("report.html", "cloud.png", "report"),
 }
 
 
@@ -145,6 +146,10 @@ class Workspace:
     @property
     def report(self) -> Path:
         return self.folder / "report.html"
+
+    @property
+    def cloud_picture(self) -> Path:
+        return self.folder / "cloud.png"
 
     @property
     def report_pictures(self) -> Path:

@@ -7,8 +7,8 @@ namespace py = pybind11;
 PYBIND11_MODULE(_core, module) {
   module.doc() = "The C++ core of sirpy. Private: use the typed functions of the package.";
 
-  // Mistakes in the user's data become sirpy.errors.InputError, files that cannot be written OutputError;
-  // everything else raises as pybind11 has it.
+  // Mistakes in the user's data become sirpy.errors.InputError, files that cannot be written
+  // OutputError; everything else raises as pybind11 has it.
   static py::handle input_error =
       py::object(py::module_::import("sirpy.errors").attr("InputError")).release();
   static py::handle output_error =

@@ -1,0 +1,201 @@
+#include "fusion.h"
+
+#include <omp.h>
+
+#include <cmath>
+#include <optional>
+#include <stdexcept>
+#include <string>
+
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+
+#include "depth_window.h"
+
+namespace sirpy {
+namespace {
+
+void Require(bool satisfied, const std::string& field, double value,
+             const std::string& constraint) {
+  if (satisfied) return;
+  throw std::invalid_argument("FusionOptions::" + field + " = " + std::to_string(value) +
+                              ". Violated constraint: " + field + " " + constraint);
+}
+
+// A camera whose pixel centres are at whole numbers, and the window of inverse depths.
+struct Camera {
+  explicit Camera(const DepthView& view)
+      : intrinsics(view.intrinsics),
+        rotation(view.rotation),
+        translation(view.translation),
+        centre(-view.rotation.transpose() * view.translation),
+        window(view.rectangle),
+        rank(view.rank) {
+    intrinsics(0, 2) -= 0.5;
+    intrinsics(1, 2) -= 0.5;
+    inverse_intrinsics = intrinsics.inverse();
+    inverse_depth.resize(size_t(window.Area()));
+    for (size_t i = 0; i < inverse_depth.size(); ++i) {
+      inverse_depth[i] = view.depth[i] > 0 ? 1 / view.depth[i] : 0;
+    }
+  }
+
+  Eigen::Vector3d World(double x, double y, double depth) const {
+    return rotation.transpose() *
+           (inverse_intrinsics * Eigen::Vector3d(x, y, 1) * depth - translation);
+  }
+  Eigen::Vector3d InCamera(const Eigen::Vector3d& world) const {
+    return rotation * world + translation;
+  }
+
+  // Area of the surface with that normal that one pixel covers at the world point, up to a
+  // constant.
+  double Footprint(const Eigen::Vector3d& world, const Eigen::Vector3d& normal) const {
+    const Eigen::Vector3d ray = world - centre;
+    const double cosine = std::abs(ray.normalized().dot(normal));
+    const double depth = InCamera(world).z();
+    return depth * depth / (intrinsics(0, 0) * intrinsics(1, 1) * std::max(cosine, 1e-3));
+  }
+
+  Eigen::Matrix3d intrinsics, inverse_intrinsics, rotation;
+  Eigen::Vector3d translation, centre;
+  Rectangle window;
+  int rank;
+  std::vector<float> inverse_depth;
+};
+
+struct Agreement {
+  double shift;  // pixels, forward-backward
+  double depth;  // what the source measures along the reference's ray
+};
+
+// The plane of the reference's pixel: inverse depth is m . (x, y, 1).
+Eigen::Vector3d InverseDepthPlane(const Camera& reference, const Eigen::Vector3d& normal, double x,
+                                  double y, double depth) {
+  const Eigen::Vector3d m = reference.inverse_intrinsics.transpose() * normal;
+  const double at_pixel = m.dot(Eigen::Vector3d(x, y, 1));
+  if (std::abs(at_pixel) < 1e-9) return {0, 0, 1 / depth};
+  return m / (at_pixel * depth);
+}
+
+std::optional<Agreement> Agree(const Camera& reference, const Camera& source, double x, double y,
+                               const Eigen::Vector3d& world, const Eigen::Vector3d& plane) {
+  const Eigen::Vector3d in_source = source.InCamera(world);
+  if (in_source.z() <= 0) return std::nullopt;
+  const Eigen::Vector2d at = (source.intrinsics * in_source).hnormalized();
+  const double u = at.x() - double(source.window.x0), v = at.y() - double(source.window.y0);
+  if (!(u >= 0 && v >= 0 && u < double(source.window.width - 1) &&
+        v < double(source.window.height - 1))) {
+    return std::nullopt;
+  }
+  const float rho = InterpolatedInverseDepth(source.inverse_depth.data(), int(source.window.width),
+                                             float(u), float(v));
+  if (rho <= 0) return std::nullopt;
+  const Eigen::Vector3d back = reference.InCamera(source.World(at.x(), at.y(), 1.0 / rho));
+  if (back.z() <= 0) return std::nullopt;
+  const Eigen::Vector2d where = (reference.intrinsics * back).hnormalized();
+  const Eigen::Vector2d step = where - Eigen::Vector2d(x, y);
+  // The source's point lies beside the ray: slide it along the surface onto the ray.
+  const double on_ray = 1 / back.z() - plane.head<2>().dot(step);
+  if (on_ray <= 0) return std::nullopt;
+  return Agreement{step.norm(), 1 / on_ray};
+}
+
+struct Point {
+  Eigen::Vector3d position;
+  Eigen::Vector3f normal;
+  int64_t pixel;
+  uint8_t num_views;
+};
+
+struct Row {
+  std::vector<Point> points;
+  int64_t num_inconsistent = 0;
+  int64_t num_yielded = 0;
+};
+
+Row FuseRow(const Camera& reference, const float* normals, const std::vector<Camera>& sources,
+            const FusionOptions& options, int64_t row) {
+  Row fused;
+  const int64_t width = reference.window.width, area = reference.window.Area();
+  for (int64_t column = 0; column < width; ++column) {
+    const int64_t pixel = row * width + column;
+    const float rho = reference.inverse_depth[size_t(pixel)];
+    if (rho <= 0) continue;
+    const double depth = 1.0 / rho;
+    const double x = double(reference.window.x0 + column), y = double(reference.window.y0 + row);
+    const Eigen::Vector3d normal(normals[pixel], normals[pixel + area], normals[pixel + 2 * area]);
+    const Eigen::Vector3d world_normal = reference.rotation.transpose() * normal;
+    const Eigen::Vector3d world = reference.World(x, y, depth);
+    const Eigen::Vector3d plane = InverseDepthPlane(reference, normal, x, y, depth);
+
+    int num_consistent = 0;
+    double sum_inverse_depth = 1 / depth;
+    bool better_view = false;
+    for (const Camera& source : sources) {
+      const std::optional<Agreement> agreement = Agree(reference, source, x, y, world, plane);
+      if (!agreement || agreement->shift >= options.consistency) continue;
+      ++num_consistent;
+      sum_inverse_depth += 1 / agreement->depth;
+      better_view =
+          better_view || (source.rank < reference.rank && agreement->shift < options.yield_shift &&
+                          source.Footprint(world, world_normal) <
+                              options.yield_footprint * reference.Footprint(world, world_normal));
+    }
+    if (num_consistent < options.min_consistent) {
+      ++fused.num_inconsistent;
+      continue;
+    }
+    // One more than needed must agree before a pixel trusts another view to emit its point.
+    if (better_view && num_consistent > options.min_consistent && !options.keep_duplicates) {
+      ++fused.num_yielded;
+      continue;
+    }
+    const double mean = double(num_consistent + 1) / sum_inverse_depth;
+    fused.points.push_back({reference.World(x, y, mean), world_normal.normalized().cast<float>(),
+                            pixel, uint8_t(num_consistent + 1)});
+  }
+  return fused;
+}
+
+}  // namespace
+
+void FusionOptions::Validate() const {
+  Require(min_consistent >= 1, "min_consistent", min_consistent, ">= 1");
+  Require(consistency > 0, "consistency", consistency, "> 0");
+  Require(yield_shift >= 0, "yield_shift", yield_shift, ">= 0");
+  Require(yield_footprint > 0, "yield_footprint", yield_footprint, "> 0");
+  Require(threads >= 0, "threads", threads, ">= 0");
+}
+
+FusedPoints Fuse(const DepthView& reference, const float* normal,
+                 const std::vector<DepthView>& sources, const FusionOptions& options) {
+  options.Validate();
+  const Camera reference_camera(reference);
+  std::vector<Camera> source_cameras;
+  for (const DepthView& source : sources) source_cameras.emplace_back(source);
+
+  const int64_t height = reference.rectangle.height;
+  std::vector<Row> rows(height);
+  const int threads = options.threads > 0 ? options.threads : omp_get_num_procs();
+#pragma omp parallel for schedule(dynamic) num_threads(threads)
+  for (int64_t y = 0; y < height; ++y) {
+    rows[size_t(y)] = FuseRow(reference_camera, normal, source_cameras, options, y);
+  }
+
+  FusedPoints points;
+  for (const Row& row : rows) {
+    for (const Point& point : row.points) {
+      points.position.insert(points.position.end(), point.position.data(),
+                             point.position.data() + 3);
+      points.normal.insert(points.normal.end(), point.normal.data(), point.normal.data() + 3);
+      points.pixel.push_back(point.pixel);
+      points.num_views.push_back(point.num_views);
+    }
+    points.num_inconsistent += row.num_inconsistent;
+    points.num_yielded += row.num_yielded;
+  }
+  return points;
+}
+
+}  // namespace sirpy

@@ -1,0 +1,96 @@
+// What the kernels work on: one reference window and its source windows at one level of the
+// pyramid.
+//
+// Pixel coordinates here put the centre of a pixel at whole numbers (COLMAP's minus one half) and
+// count from the origin of the whole native image at that level, so nothing depends on how the
+// image was cut. A plane is stored as inverse depth rho (1 / z in the reference camera) at the
+// pixel and its gradient (gx, gy) per pixel: rho(x + d) = rho + g d. A source sees the reference
+// pixel x with inverse depth rho at
+//   (a x~ + b rho), a = K_s R K_r^-1, b = K_s t, with (R, t) = source_from_reference.
+#pragma once
+
+#include <cstdint>
+
+namespace sirpy::patch_match {
+
+constexpr int kMaxSources = 16;
+constexpr int kPatchRadius = 4;  // 9x9 pixels, every second one is sampled: 25 samples
+constexpr int kPatchStep = 2;
+constexpr float kWorstCost = 2;  // 1 - NCC is in [0, 2]; what cannot be compared costs this
+
+struct SourceLevel {
+  const uint32_t* quads = nullptr;  // height x width; bytes: (x, y), (x+1, y), (x, y+1), (x+1, y+1)
+  const float* inverse_depth = nullptr;  // height x width or null; 0 where there is none
+  int width = 0;
+  int height = 0;
+  float x0 = 0;  // origin of the window
+  float y0 = 0;
+  double a[9];  // row-major
+  double b[3];
+  double back_a[9];  // the same from the source to the reference
+  double back_b[3];
+};
+
+struct Level {
+  const uint8_t* grey = nullptr;  // the window with kPatchRadius more pixels on each side
+  int width = 0;                  // of the window
+  int height = 0;
+  int x0 = 0;  // native position, at this level, of the window's first pixel
+  int y0 = 0;
+  float fx = 0, fy = 0, cx = 0, cy = 0;
+  float min_inverse_depth = 0;
+  float max_inverse_depth = 0;
+  int num_sources = 0;
+  SourceLevel sources[kMaxSources];
+  const float* prior = nullptr;  // inverse depth of the coarser level; null at the coarsest
+  uint64_t seed = 0;             // of the run, the image and the pass
+  int level = 0;                 // 0 is native resolution
+  bool coarsest = false;         // nothing is known yet but the range and the seeds
+  int offers = 8;                // planes of neighbours that are tried, of 8
+  int stride() const { return width + 2 * kPatchRadius; }
+};
+
+// One value per pixel of the window, row-major; 18 bytes per pixel.
+struct Planes {
+  float* rho = nullptr;
+  float* gx = nullptr;
+  float* gy = nullptr;
+  float* cost = nullptr;
+  uint16_t* views = nullptr;  // bit j: source j is used
+};
+
+// What `assess` finds of the final planes.
+struct Assessment {
+  float* cost = nullptr;              // photometric cost over the selected sources
+  uint8_t* num_seeing = nullptr;      // sources that the pixel can be compared with
+  uint8_t* num_consistent = nullptr;  // sources whose own depth agrees within `consistency`
+};
+
+struct KernelOptions {
+  float color_sigma = 20;         // grey levels, bilateral weight
+  float space_sigma = 3;          // pixels, bilateral weight
+  float geometric_weight = 0.2f;  // lambda
+  float max_geometric_error = 3;  // pixels, T
+  float consistency = 1;          // pixels: agreement of two depth maps
+  float prior_variance = 4;  // grey levels squared: below this texture the coarser level counts
+  int top_views = 4;         // sources that a pixel's cost is the mean of, at most
+};
+
+// One set per instruction set. Each works on one row: `colour` is (x + y) & 1 in native
+// coordinates.
+struct Kernels {
+  const char* name;
+  void (*evaluate_row)(const Level&, const KernelOptions&, const Planes& candidates, Planes* planes,
+                       int y);
+  void (*sweep_row)(const Level&, const KernelOptions&, Planes* planes, int y, int colour,
+                    int iteration);
+  void (*refine_row)(const Level&, const KernelOptions&, Planes* planes, int y);
+  void (*assess_row)(const Level&, const KernelOptions&, const Planes& planes,
+                     Assessment* assessment, int y);
+};
+
+// The widest set that this processor has; SIRPY_ISA=baseline|avx2|avx512 in the environment asks
+// for another.
+const Kernels& BestKernels();
+
+}  // namespace sirpy::patch_match

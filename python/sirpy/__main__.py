@@ -1,0 +1,5 @@
+"""`python -m sirpy` is `sirpy`."""
+
+from sirpy.cli import main
+
+main()

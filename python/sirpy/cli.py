@@ -1,0 +1,298 @@
+"""The command line: each command is the Python function of the same name, with the same options."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sirpy.errors import InputError, SirpyError
+
+if TYPE_CHECKING:
+    from sirpy.pipeline import Reconstruction
+    from sirpy.rectangle import Grid
+
+app = typer.Typer(
+    name="sirpy",
+    help="Dense 3D reconstruction at native resolution from photographs of any size.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Images = Annotated[Path, typer.Argument(help="Folder of photographs.", show_default=False)]
+Output = Annotated[Path, typer.Option("--output", "-o", help="Folder of the workspace.")]
+WorkspaceFolder = Annotated[
+    Path, typer.Argument(help="Folder of the workspace.", show_default=False)
+]
+Model = Annotated[
+    Path | None,
+    typer.Option(help="COLMAP model of the photographs, in native pixels; made if not given."),
+]
+Memory = Annotated[str, typer.Option(help="What the whole process tree may take: 8GB, 500MB.")]
+Columns = Annotated[int | None, typer.Option(help="Columns of sub-images; chosen if not given.")]
+Rows = Annotated[int | None, typer.Option(help="Rows of sub-images; chosen if not given.")]
+NumSources = Annotated[int, typer.Option(help="Photographs that each is matched against, at most.")]
+Threads = Annotated[int, typer.Option(help="0: one for each core.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only results and errors.")]
+
+_MEMORY = "8GB"
+
+
+@app.command()
+def reconstruct(
+    images: Images,
+    output: Output,
+    model: Model = None,
+    memory: Memory = _MEMORY,
+    columns: Columns = None,
+    rows: Rows = None,
+    num_sources: NumSources = 8,
+    threads: Threads = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Photographs to a dense cloud: every stage, in the memory that you allow."""
+    from sirpy.pipeline import reconstruct as run
+    from sirpy.planning import parse_memory
+    from sirpy.progress import make_progress
+
+    result = run(
+        images,
+        output,
+        model=model,
+        memory=parse_memory(memory),
+        grid=_grid(columns, rows),
+        num_sources=num_sources,
+        threads=threads,
+        progress=make_progress(quiet),
+    )
+    _print_result(result, memory)
+    if result.left_out:
+        names = ", ".join(out.name for out in result.left_out)
+        raise InputError(
+            f"{len(result.left_out)} photograph(s) were left out ({names}); the reconstruction is "
+            f"made of the others, and {result.workspace.report} says why"
+        )
+
+
+@app.command()
+def sparse(
+    images: Images,
+    output: Output,
+    max_size: Annotated[int, typer.Option(help="Longest side that is matched, pixels.")] = 2304,
+    memory: Memory = _MEMORY,
+    threads: Threads = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Cameras and sparse points by structure from motion on decimated photographs."""
+    import os
+
+    from sirpy.planning import parse_memory
+    from sirpy.progress import make_progress
+    from sirpy.sparse_model import sparse as run
+
+    result = run(
+        images,
+        output,
+        max_size=max_size,
+        memory=parse_memory(memory),
+        threads=threads or os.cpu_count() or 1,
+        progress=make_progress(quiet),
+    )
+    print(f"model: {result.model}")
+
+
+@app.command()
+def plan(
+    model: Annotated[Path, typer.Argument(help="COLMAP model, in native pixels.")],
+    memory: Memory = _MEMORY,
+    columns: Columns = None,
+    rows: Rows = None,
+    num_sources: NumSources = 8,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """The grid for a memory budget, and the peak memory of each stage."""
+    from sirpy.native_scene import native_scene
+    from sirpy.planning import gigabytes, parse_memory
+    from sirpy.planning import plan as run
+    from sirpy.sparse_model import read_model
+    from sirpy.sub_image_model import undistorted_model
+
+    scene = native_scene(undistorted_model(read_model(model)))
+    found = run(
+        scene, memory=parse_memory(memory), grid=_grid(columns, rows), num_sources=num_sources
+    )
+    if as_json:
+        grid = {"columns": found.grid.columns, "rows": found.grid.rows}
+        print(json.dumps({"grid": grid, "predicted_peak": found.predicted_peak}))
+        return
+    print(f"grid: {found.grid} sub-images of each photograph")
+    for stage, peak in found.predicted_peak.items():
+        print(f"{stage:8} {gigabytes(peak):>10}")
+
+
+@app.command()
+def cut(
+    images: Images,
+    output: Output,
+    model: Annotated[Path, typer.Option(help="COLMAP model of the photographs, in native pixels.")],
+    memory: Memory = _MEMORY,
+    columns: Columns = None,
+    rows: Rows = None,
+    overlap: Annotated[int, typer.Option(help="Extra pixels around each sub-image.")] = 0,
+    num_sources: NumSources = 8,
+    quiet: Quiet = False,
+) -> None:
+    """Recapture: undistorts the photographs and cuts them into sub-images with their own cameras."""
+    from sirpy.cutting import cut as run
+    from sirpy.native_scene import native_scene
+    from sirpy.planning import parse_memory
+    from sirpy.planning import plan as choose
+    from sirpy.progress import make_progress
+    from sirpy.sparse_model import model_identity, read_model
+    from sirpy.sub_image_model import undistorted_model
+
+    solved = read_model(model)
+    chosen = choose(
+        native_scene(undistorted_model(solved)),
+        memory=parse_memory(memory),
+        grid=_grid(columns, rows),
+        num_sources=num_sources,
+    )
+    workspace = run(
+        images,
+        solved,
+        output,
+        identity=model_identity(model),
+        grid=chosen.grid,
+        overlap=overlap,
+        progress=make_progress(quiet),
+    )
+    print(f"sub-images: {workspace.images}")
+
+
+@app.command()
+def views(
+    workspace: WorkspaceFolder,
+    num_sources: NumSources = 8,
+    halo: Annotated[int, typer.Option(help="Pixels estimated around each sub-image.")] = 32,
+    quiet: Quiet = False,
+) -> None:
+    """View selection: sources, depth range and windows of each sub-image."""
+    from sirpy.progress import make_progress
+    from sirpy.view_selection import views as run
+    from sirpy.workspace import Workspace
+
+    folder = Workspace(workspace)
+    run(folder, num_sources=num_sources, halo=halo, progress=make_progress(quiet))
+    print(f"views: {folder.views}")
+
+
+@app.command()
+def stereo(
+    workspace: WorkspaceFolder,
+    max_cost: Annotated[float, typer.Option(help="1 - NCC above which there is no depth.")] = 0.6,
+    min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
+    threads: Threads = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Depth and normal maps of all sub-images that have none yet."""
+    from sirpy.dense_stereo import StereoOptions
+    from sirpy.dense_stereo import stereo as run
+    from sirpy.progress import make_progress
+    from sirpy.workspace import Workspace
+
+    options = StereoOptions(max_cost=max_cost, min_consistent=min_consistent, threads=threads)
+    folder = Workspace(workspace)
+    run(folder, options=options, progress=make_progress(quiet))
+    print(f"maps: {folder.stereo}")
+
+
+@app.command()
+def fuse(
+    workspace: WorkspaceFolder,
+    min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
+    consistency: Annotated[
+        float, typer.Option(help="Pixels that agreeing depths differ by.")
+    ] = 1.0,
+    keep_duplicates: Annotated[
+        bool, typer.Option(help="Every view emits the surface, not only the one that sees it best.")
+    ] = False,
+    threads: Threads = 0,
+    quiet: Quiet = False,
+) -> None:
+    """The depth maps as one cloud."""
+    from sirpy.fusion import FusionOptions
+    from sirpy.fusion import fuse as run
+    from sirpy.progress import make_progress
+    from sirpy.workspace import Workspace
+
+    options = FusionOptions(
+        min_consistent=min_consistent,
+        consistency=consistency,
+        keep_duplicates=keep_duplicates,
+        threads=threads,
+    )
+    folder = Workspace(workspace)
+    points = run(folder, options=options, progress=make_progress(quiet))
+    print(f"cloud: {folder.fused} ({points:,} points)")
+
+
+@app.command()
+def report(workspace: WorkspaceFolder) -> None:
+    """The report of a reconstruction as one page."""
+    from sirpy.html_report import report as run
+    from sirpy.workspace import Workspace
+
+    print(f"report: {run(Workspace(workspace))}")
+
+
+@app.command()
+def demo(
+    output: Output = Path("demo"),
+    memory: Memory = _MEMORY,
+    quiet: Quiet = False,
+) -> None:
+    """A synthetic aerial scene: rendered, reconstructed and judged by its exact ground truth."""
+    from sirpy.demo import demo as run
+    from sirpy.planning import parse_memory
+    from sirpy.progress import make_progress
+
+    made = run(output, memory=parse_memory(memory), progress=make_progress(quiet))
+    print(made.evaluation)
+    _print_result(made.reconstruction, memory)
+
+
+def _print_result(result: Reconstruction, memory: str) -> None:
+    from sirpy.planning import gigabytes
+
+    print(f"cloud:   {result.workspace.fused} ({result.points:,} points)")
+    print(f"report:  {result.workspace.report}")
+    print(f"picture: {result.workspace.cloud_picture}")
+    if result.peak_bytes is not None:
+        print(f"memory:  {gigabytes(result.peak_bytes)} at the peak, of {memory}")
+
+
+def _grid(columns: int | None, rows: int | None) -> Grid | None:
+    from sirpy.rectangle import Grid
+
+    if columns is None and rows is None:
+        return None
+    if columns is None or rows is None:
+        raise InputError("--columns and --rows belong together: give both or neither")
+    return Grid(columns, rows)
+
+
+def main() -> None:
+    try:
+        app()
+    except SirpyError as error:
+        print(f"sirpy: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""The sparse scene of a workspace as arrays: whole undistorted cameras, sparse points, who sees what where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import pycolmap
+
+from sirpy.workspace import Workspace
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class NativeCamera:
+    """A whole undistorted native image. Pixel centres at .5 (COLMAP); depth is z in the camera frame."""
+
+    name: str
+    width: int
+    height: int
+    intrinsics: Floats  # (3, 3), pixels
+    cam_from_world: Floats  # (3, 4)
+
+    @cached_property
+    def centre(self) -> Floats:
+        """Projection centre in the world, (3,)."""
+        return -self.cam_from_world[:, :3].T @ self.cam_from_world[:, 3]
+
+    def in_camera(self, world: Floats) -> Floats:
+        """World points (n, 3) in the camera frame, (n, 3)."""
+        return world @ self.cam_from_world[:, :3].T + self.cam_from_world[:, 3]
+
+    def project(self, world: Floats) -> Floats:
+        """Pixels (n, 2) of world points (n, 3) that lie in front of the camera."""
+        homogeneous = self.in_camera(world) @ self.intrinsics.T
+        return homogeneous[:, :2] / homogeneous[:, 2:]
+
+    def world(self, pixels: Floats, depth: Floats) -> Floats:
+        """World points (n, 3) of pixels (n, 2) at depths (n,)."""
+        rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.intrinsics).T
+        in_camera = rays * depth[:, None]
+        return (in_camera - self.cam_from_world[:, 3]) @ self.cam_from_world[:, :3]
+
+
+@dataclass(frozen=True)
+class Observations:
+    """The sparse points that one native image sees."""
+
+    point: Indices  # (n,) index into NativeScene.points
+    pixel: Floats  # (n, 2) native pixels
+    depth: Floats  # (n,)
+
+
+@dataclass(frozen=True)
+class NativeScene:
+    """Cameras by name, in order of their names; sparse points (p, 3); observations by camera name."""
+
+    cameras: dict[str, NativeCamera]
+    points: Floats
+    observations: dict[str, Observations]
+
+    @cached_property
+    def observers(self) -> tuple[Indices, Indices]:
+        """Who sees each point: (start (p + 1,), camera (m,)); camera[start[i]:start[i + 1]] see point i."""
+        names = list(self.cameras)
+        point = np.concatenate([self.observations[name].point for name in names])
+        camera = np.repeat(np.arange(len(names)), [len(self.observations[n].point) for n in names])
+        order = np.argsort(point, kind="stable")
+        start = np.zeros(len(self.points) + 1, dtype=np.int64)
+        np.cumsum(np.bincount(point, minlength=len(self.points)), out=start[1:])
+        return start, camera[order]
+
+
+def read_native_scene(workspace: Workspace) -> NativeScene:
+    """The scene of the workspace's native model."""
+    return native_scene(pycolmap.Reconstruction(str(workspace.native_model)))
+
+
+def native_scene(model: pycolmap.Reconstruction) -> NativeScene:
+    """The scene of a model of whole undistorted images; observations behind their camera are left out."""
+    ids = sorted(model.point3D_ids())
+    index_of = {point_id: index for index, point_id in enumerate(ids)}
+    points = np.array([model.points3D[i].xyz for i in ids], dtype=np.float64).reshape(-1, 3)
+    cameras: dict[str, NativeCamera] = {}
+    observations: dict[str, Observations] = {}
+    for image in sorted(model.images.values(), key=lambda image: str(image.name)):
+        camera = model.cameras[image.camera_id]
+        native = NativeCamera(
+            image.name,
+            camera.width,
+            camera.height,
+            np.asarray(camera.calibration_matrix(), dtype=np.float64),
+            np.ascontiguousarray(image.cam_from_world().matrix(), dtype=np.float64),
+        )
+        seen = [p for p in image.points2D if p.has_point3D()]
+        point = np.array([index_of[p.point3D_id] for p in seen], dtype=np.int64)
+        pixel = np.array([p.xy for p in seen], dtype=np.float64).reshape(-1, 2)
+        depth = native.in_camera(points[point])[:, 2]
+        front = depth > 0
+        cameras[native.name] = native
+        observations[native.name] = Observations(point[front], pixel[front], depth[front])
+    return NativeScene(cameras, points, observations)

@@ -1,0 +1,165 @@
+"""The whole pipeline: photographs -> sparse model -> plan -> recapture -> view selection -> stereo -> fusion."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sirpy.cutting import cut
+from sirpy.dense_stereo import StereoOptions, count_reasons, stereo
+from sirpy.files import write_json
+from sirpy.fusion import FusionOptions, fuse
+from sirpy.html_report import report
+from sirpy.native_scene import native_scene
+from sirpy.photographs import find_photographs
+from sirpy.planning import Plan, plan
+from sirpy.progress import Progress
+from sirpy.rectangle import Grid
+from sirpy.resources import Meter
+from sirpy.sparse_model import model_identity, predicted_sparse_peak, read_model, sparse
+from sirpy.sub_image_model import undistorted_model
+from sirpy.view_selection import views
+from sirpy.workspace import LeftOut, Workspace, check_writable
+
+DEFAULT_MEMORY = 8_000_000_000  # bytes
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What `reconstruct` made."""
+
+    workspace: Workspace
+    plan: Plan
+    points: int
+    left_out: list[LeftOut]
+    peak_bytes: int | None  # measured, of the whole process tree; None where it cannot be
+
+
+def reconstruct(
+    images: Path,
+    output: Path,
+    *,
+    model: Path | None = None,
+    memory: int = DEFAULT_MEMORY,
+    grid: Grid | None = None,
+    num_sources: int = 8,
+    stereo_options: StereoOptions | None = None,
+    fusion_options: FusionOptions | None = None,
+    threads: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """A dense cloud of the photographs in `images` at native resolution: OUTPUT/fused.ply, report.html.
+
+    A run that was killed is continued by the same call.
+
+    Args:
+        images: folder of photographs.
+        output: folder of the workspace.
+        model: COLMAP model of the photographs in native pixels; made from the photographs if None.
+        memory: bytes that the whole process tree may take.
+        grid: of sub-images; chosen for `memory` if None.
+        num_sources: photographs that each is matched against, at most.
+        threads: 0 for one on each core.
+
+    Raises:
+        SirpyError: the user's data or options are at fault; the message says how to mend it.
+    """
+    progress = progress or Progress()
+    log = _RunLog(memory)
+    names = find_photographs(images)
+    check_writable(output)
+    workspace = Workspace(output)
+    left_out: list[LeftOut] = []
+    if model is None:
+        threads_used = threads or os.cpu_count() or 1
+        with log.stage(workspace, "sparse", len(names), "photograph"):
+            made = sparse(images, output, memory=memory, threads=threads_used, progress=progress)
+            model, left_out = made.model, made.left_out
+        log.predicted["sparse"] = predicted_sparse_peak(images, threads_used, memory)
+    solved = read_model(model)
+    chosen = plan(
+        native_scene(undistorted_model(solved)), memory=memory, grid=grid, num_sources=num_sources
+    )
+    log.predicted.update(chosen.predicted_peak)
+    progress.note(f"plan: {chosen.grid} sub-images of each photograph")
+
+    with log.stage(workspace, "cut", solved.num_reg_images(), "photograph"):
+        workspace = cut(
+            images,
+            solved,
+            output,
+            identity=model_identity(model),
+            grid=chosen.grid,
+            progress=progress,
+        )
+    del solved
+    count = len(list(workspace.sub_images()))
+    with log.stage(workspace, "views", count, "sub-image"):
+        views(workspace, num_sources=num_sources, progress=progress)
+    with log.stage(workspace, "stereo", count, "sub-image"):
+        stereo(
+            workspace, options=stereo_options or StereoOptions(threads=threads), progress=progress
+        )
+    with log.stage(workspace, "fuse", count, "sub-image"):
+        points = fuse(
+            workspace, options=fusion_options or FusionOptions(threads=threads), progress=progress
+        )
+    left_out = sorted([*left_out, *workspace.left_out], key=lambda out: out.name)
+    log.write(workspace, chosen, points, left_out)
+    report(workspace)
+    return Reconstruction(workspace, chosen, points, left_out, log.peak)
+
+
+@dataclass
+class _RunLog:
+    """What the stages cost; becomes run.json."""
+
+    memory: int
+    stages: list[dict[str, Any]] = field(default_factory=list)
+    predicted: dict[str, int] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, workspace: Workspace, name: str, units: int, unit: str) -> Iterator[None]:
+        before = workspace.fingerprint_of(name)
+        with Meter() as meter:
+            yield
+        self.stages.append(
+            {
+                "name": name,
+                "units": units,
+                "unit": unit,
+                "wall_s": meter.wall_s,
+                "cpu_s": meter.cpu_s,
+                "measured_peak": meter.peak_bytes,
+                # Some or all of it was there already; the costs are those of this run.
+                "reused": before != "" and before == workspace.fingerprint_of(name),
+            }
+        )
+
+    @property
+    def peak(self) -> int | None:
+        known = [s["measured_peak"] for s in self.stages if s["measured_peak"] is not None]
+        return max(known) if known else None
+
+    def write(
+        self, workspace: Workspace, chosen: Plan, points: int, left_out: list[LeftOut]
+    ) -> None:
+        write_json(
+            workspace.run,
+            {
+                "version": 1,
+                "memory": self.memory,
+                "grid": str(chosen.grid),
+                "stages": [
+                    {**stage, "predicted_peak": self.predicted.get(stage["name"])}
+                    for stage in self.stages
+                ],
+                "left_out": [{"name": out.name, "reason": out.reason} for out in left_out],
+                "points": points,
+                "reasons": count_reasons(workspace),
+            },
+        )

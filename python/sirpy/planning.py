@@ -1,0 +1,163 @@
+"""The plan: the grid for a memory budget, with the peak memory that each stage will need.
+
+Every stage says what it holds in bytes per pixel; the windows of a candidate grid are found by view selection
+itself, so the prediction knows the sources of this scene. The coarsest grid that fits is chosen: larger
+sub-images waste less on halos.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sirpy import _core
+from sirpy.errors import BudgetError, InputError
+from sirpy.native_scene import NativeScene
+from sirpy.photographs import cutting_bytes
+from sirpy.rectangle import Grid
+from sirpy.view_selection import SubImageViews, sub_image_views
+from sirpy.workspace import NativeImage, SubImage
+
+# Python with numpy, pycolmap and rasterio loaded, and the sparse scene.
+PROCESS_BYTES = 150_000_000
+# The allocator and the kernel keep a little more than what is asked for.
+_SLACK = 1.05
+_SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
+_MOST_IMAGES = 40  # that a plan looks at; evenly chosen when there are more
+# Pixels that any stereo holds for each pixel of the reference: the reference and about 10 sources, at about 10
+# bytes each, and the maps. For workspaces that are made for other engines.
+_ENGINE_BYTES_PER_PIXEL = 200
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A grid, and the predicted peak memory (bytes, of the whole process tree) of each stage."""
+
+    grid: Grid
+    predicted_peak: dict[str, int]
+
+    @property
+    def peak(self) -> int:
+        return max(self.predicted_peak.values())
+
+
+def parse_memory(text: str) -> int:
+    """Bytes of "8GB", "512MB", "1.5 GB" (powers of ten), "8GiB" (powers of two) or "8000000000".
+
+    Raises:
+        InputError: it is none of these.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKmMgGtT]?)(i?)[bB]?\s*", text)
+    if not match:
+        raise InputError(
+            f'--memory "{text}" is not an amount of memory: write it like 8GB or 500MB'
+        )
+    number, prefix, binary = match.groups()
+    power = " kmgt".index(prefix.lower() or " ")
+    return int(float(number) * (1024 if binary else 1000) ** power)
+
+
+def plan(
+    scene: NativeScene,
+    *,
+    memory: int | None,
+    grid: Grid | None = None,
+    num_sources: int = 8,
+    halo: int = 32,
+) -> Plan:
+    """The coarsest grid whose stages stay within `memory` (bytes), or the prediction for a given one.
+
+    Raises:
+        BudgetError: nothing fits; the message says the least memory that would do.
+    """
+    least: Plan | None = None
+    for candidate in [grid] if grid else _candidates(scene):
+        found = Plan(candidate, _predict(scene, candidate, num_sources, halo))
+        if memory is None or found.peak <= memory:
+            return found
+        if least is None or found.peak < least.peak:
+            least = found
+    assert least is not None  # there is always a 1x1 grid
+    subject = f"a grid of {grid} sub-images needs" if grid else "the least that would do is"
+    raise BudgetError(
+        f"no plan fits into --memory {gigabytes(memory or 0)}: {subject} {gigabytes(least.peak)}, "
+        "or fewer --num_sources"
+    )
+
+
+def grid_for_memory(sizes: list[tuple[int, int]], memory: int) -> Grid:
+    """A grid for images of these sizes whose sub-images other stereo engines can hold in `memory` bytes.
+
+    Raises:
+        BudgetError: not even the smallest sub-images would fit.
+    """
+    width, height = max(w for w, _ in sizes), max(h for _, h in sizes)
+    for candidate in _grids(width, height):
+        area = -(-width // candidate.columns) * -(-height // candidate.rows)
+        if _ENGINE_BYTES_PER_PIXEL * area <= memory:
+            return candidate
+    least = _ENGINE_BYTES_PER_PIXEL * _SMALLEST_SIDE**2
+    raise BudgetError(
+        f"--memory {gigabytes(memory)} is too little for any sub-image: the least that would do is "
+        f"{gigabytes(least)}"
+    )
+
+
+def gigabytes(size: float) -> str:
+    """ "1.5 GB", rounded up so that what is printed is enough."""
+    return f"{-(-size // 10_000_000) / 100:.2f} GB"
+
+
+def _candidates(scene: NativeScene) -> Iterator[Grid]:
+    largest = max(scene.cameras.values(), key=lambda camera: camera.width * camera.height)
+    yield from _grids(largest.width, largest.height)
+
+
+def _grids(width: int, height: int) -> Iterator[Grid]:
+    """Grids of about square sub-images, from the whole image down to the smallest sub-images."""
+    yielded = set()
+    for count in range(1, max(2, max(width, height) // _SMALLEST_SIDE + 1)):
+        side = max(width, height) / count
+        grid = Grid(max(1, round(width / side)), max(1, round(height / side)))
+        if grid not in yielded:
+            yielded.add(grid)
+            yield grid
+
+
+def _predict(scene: NativeScene, grid: Grid, num_sources: int, halo: int) -> dict[str, int]:
+    cameras = list(scene.cameras.values())
+    cameras = cameras[:: -(-len(cameras) // _MOST_IMAGES)]
+    stereo = fuse = cut = 0.0
+    for camera in cameras:
+        native = NativeImage(camera.name, camera.width, camera.height, ())
+        cut = max(cut, cutting_bytes(camera.width, camera.height))
+        for row, column, core in grid.cores(camera.width, camera.height):
+            sub_image = SubImage("", row, column, core, core)
+            views = sub_image_views(scene, native, sub_image, num_sources=num_sources, halo=halo)
+            stereo = max(stereo, _stereo_bytes(views))
+            fuse = max(fuse, _fuse_bytes(core.area, views))
+    return {
+        "cut": int(PROCESS_BYTES + _SLACK * cut),
+        "stereo": int(PROCESS_BYTES + _SLACK * stereo),
+        "fuse": int(PROCESS_BYTES + _SLACK * fuse),
+    }
+
+
+def _stereo_bytes(views: SubImageViews) -> int:
+    """The geometric pass, which holds the depths of the sources too, or the photometric one."""
+    sources = sum(source.window.area for source in views.sources)
+    peaks = []
+    # Beside the core's own: grey 1, depth 4, normal 12 read; grey 1, depth 4 of each source.
+    for geometric, reference_bytes, source_bytes in ((False, 1, 1), (True, 17, 5)):
+        per_reference, per_source = _core.patch_match_bytes_per_pixel(geometric)
+        peaks.append(
+            views.window.area * (per_reference + reference_bytes)
+            + sources * (per_source + source_bytes)
+        )
+    return max(peaks)
+
+
+def _fuse_bytes(area: int, views: SubImageViews) -> int:
+    """Depth and its inverse 8, normal 12, colour 3, points in the core twice 96, as arrays 72."""
+    return 191 * area + 8 * sum(source.window.area for source in views.sources)

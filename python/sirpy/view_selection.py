@@ -1,0 +1,305 @@
+"""View selection: what each reference sub-image is matched against, how deep, and in which windows.
+
+For a reference sub-image the sparse points seen in and around it tell the depth range (robust percentiles) and
+which native images make good sources: many shared points, seen under good angles at a like resolution (the score
+of OpenMVS). The window of a source is what the frustum of the sub-image, between the two depths, projects to, so
+no match is lost at a border of the grid.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sirpy.errors import InputError
+from sirpy.files import fingerprint, write_json, written_whole
+from sirpy.native_scene import Floats, Indices, NativeCamera, NativeScene, read_native_scene
+from sirpy.progress import Progress
+from sirpy.rectangle import Rectangle
+from sirpy.workspace import NativeImage, SubImage, Workspace
+
+ALIGNMENT = 8  # native pixels: windows start and end on the lattice of the coarsest pyramid level
+PATCH_REACH = (
+    9  # native pixels: a patch of radius 4, magnified at most 2 times in the source, and a pixel
+)
+
+_ENOUGH_POINTS = 60  # that give a depth range and a choice of sources
+_MIN_SHARED = 8  # sparse points that a source must share with the reference
+_DEPTH_PERCENTILES = (1.0, 99.0)
+_DEPTH_MARGIN = 0.25  # of the range of the sparse points, on both sides
+_LEAST_DEPTH_MARGIN = 0.02  # of the depth
+_SOURCE_SUB_IMAGES = 20  # of other images, listed for COLMAP
+
+
+@dataclass(frozen=True)
+class Source:
+    """A native image to match against, and the rectangle of it (native pixels) that can be needed."""
+
+    name: str
+    window: Rectangle
+
+
+@dataclass(frozen=True)
+class SubImageViews:
+    """The problem of one reference sub-image; no sources where too few sparse points are seen."""
+
+    name: str
+    window: Rectangle  # of the reference: what it stores and the halo, native pixels
+    min_depth: float  # z in the reference camera, world units
+    max_depth: float
+    sources: tuple[Source, ...]  # the best first
+
+
+@dataclass(frozen=True)
+class Views:
+    """`sub_images` by name; `rank` of each native image in fusion: 0 has the finest sampling."""
+
+    sub_images: dict[str, SubImageViews]
+    rank: dict[str, int]
+
+
+def views(
+    workspace: Workspace,
+    *,
+    num_sources: int = 8,
+    halo: int = 32,
+    progress: Progress | None = None,
+) -> Views:
+    """Chooses sources, depth range and windows of every sub-image; writes views.json and patch-match.cfg.
+
+    Args:
+        workspace: with its sub-images and models (see `cut`).
+        num_sources: native images that a reference is matched against, at most (1 to 16).
+        halo: native pixels around a sub-image that are estimated with it and thrown away.
+
+    Raises:
+        InputError: an option out of range, or no sub-image has a source.
+    """
+    if not 1 <= num_sources <= 16:
+        raise InputError(f"--num_sources {num_sources} is not possible: choose 1 to 16")
+    if halo < 0:
+        raise InputError(f"--halo {halo} is not possible: choose 0 or more pixels")
+    begun = workspace.begin_stage(
+        "views", fingerprint(workspace.fingerprint_of("cut"), num_sources, halo)
+    )
+    if begun and workspace.views.exists():
+        return read_views(workspace)
+    scene = read_native_scene(workspace)
+    found: dict[str, SubImageViews] = {}
+    with (progress or Progress()).stage(
+        "views", len(list(workspace.sub_images())), "sub-image"
+    ) as step:
+        for native, sub_image in workspace.sub_images():
+            found[sub_image.name] = sub_image_views(
+                scene, native, sub_image, num_sources=num_sources, halo=halo
+            )
+            step.advance()
+    if not any(one.sources for one in found.values()):
+        raise InputError(
+            f"no sub-image of {workspace.folder} shares enough sparse points with another photograph: "
+            "check that the model and the photographs belong together and overlap"
+        )
+    result = Views(found, _ranks(scene))
+    _write_colmap_lists(workspace, result)
+    _write_views(workspace.views, result)
+    return result
+
+
+def read_views(workspace: Workspace) -> Views:
+    """What `views` wrote.
+
+    Raises:
+        InputError: the workspace has no views.json yet.
+    """
+    try:
+        stored: dict[str, Any] = json.loads(workspace.views.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(
+            f"{workspace.folder} has no views.json: run `sirpy views` before stereo and fusion"
+        ) from None
+    return Views(
+        {
+            one["name"]: SubImageViews(
+                one["name"],
+                Rectangle(*one["window"]),
+                one["min_depth"],
+                one["max_depth"],
+                tuple(Source(s["name"], Rectangle(*s["window"])) for s in one["sources"]),
+            )
+            for one in stored["sub_images"]
+        },
+        stored["rank"],
+    )
+
+
+def aligned(window: Rectangle, image: Rectangle) -> Rectangle:
+    """The smallest window around `window` on the pyramid's lattice, cut to the image; it may be empty."""
+    inside = window.intersection(image)
+    if not inside.area:
+        return inside
+    return Rectangle.from_corners(
+        inside.x0 // ALIGNMENT * ALIGNMENT,
+        inside.y0 // ALIGNMENT * ALIGNMENT,
+        -(-inside.x1 // ALIGNMENT) * ALIGNMENT,
+        -(-inside.y1 // ALIGNMENT) * ALIGNMENT,
+    ).intersection(image)
+
+
+def source_window(
+    reference: NativeCamera,
+    window: Rectangle,
+    depths: tuple[float, float],
+    source: NativeCamera,
+) -> Rectangle:
+    """What `window` of the reference, between two depths, projects to in the source, with the patch's reach.
+
+    The frustum between two depths is convex, so the bounding box of its eight projected corners holds all
+    of it. Where a corner lies behind the source nothing can be said, and it is the whole source.
+    """
+    whole = Rectangle(0, 0, source.width, source.height)
+    x = np.array([window.x0, window.x1, window.x1, window.x0] * 2, dtype=np.float64)
+    y = np.array([window.y0, window.y0, window.y1, window.y1] * 2, dtype=np.float64)
+    corners = reference.world(np.column_stack([x, y]), np.repeat(depths, 4))
+    if (source.in_camera(corners)[:, 2] <= 0).any():
+        return whole
+    pixels = source.project(corners)
+    low, high = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
+    box = Rectangle.from_corners(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+    return aligned(box.padded(PATCH_REACH), whole)
+
+
+def sub_image_views(
+    scene: NativeScene, native: NativeImage, sub_image: SubImage, *, num_sources: int, halo: int
+) -> SubImageViews:
+    """Depth range, sources and windows of one sub-image."""
+    window = aligned(sub_image.stored.padded(halo), native.rectangle)
+    reference = scene.cameras[native.name]
+    near = _observations_around(scene, native, sub_image)
+    if len(near) < 3:
+        return SubImageViews(sub_image.name, window, 0.0, 0.0, ())
+    seen = scene.observations[native.name]
+    depths = _depth_range(seen.depth[near])
+    sources = []
+    for name in _ranked_sources(scene, native.name, seen.point[near]):
+        in_source = source_window(reference, window, depths, scene.cameras[name])
+        if min(in_source.width, in_source.height) > 2 * PATCH_REACH:
+            sources.append(Source(name, in_source))
+        if len(sources) == num_sources:
+            break
+    return SubImageViews(sub_image.name, window, *depths, tuple(sources))
+
+
+def _observations_around(scene: NativeScene, native: NativeImage, sub_image: SubImage) -> Indices:
+    """Indices of the observations in a region around the sub-image that grows until it holds enough."""
+    seen = scene.observations[native.name]
+    core = sub_image.core
+    margin = max(core.width, core.height) // 8
+    while True:
+        region = core.padded(margin)
+        x, y = seen.pixel[:, 0], seen.pixel[:, 1]
+        inside = (x >= region.x0) & (x < region.x1) & (y >= region.y0) & (y < region.y1)
+        if inside.sum() >= _ENOUGH_POINTS or region.contains(native.rectangle):
+            return np.flatnonzero(inside)
+        margin *= 2
+
+
+def _depth_range(depth: Floats) -> tuple[float, float]:
+    low, middle, high = np.percentile(depth, [_DEPTH_PERCENTILES[0], 50, _DEPTH_PERCENTILES[1]])
+    margin = max(_DEPTH_MARGIN * (high - low), _LEAST_DEPTH_MARGIN * middle)
+    return float(max(low - margin, 0.1 * low)), float(high + margin)
+
+
+def _ranked_sources(scene: NativeScene, reference: str, points: Indices) -> list[str]:
+    """Native images by their score over the given points; those with hardly a shared point are left out."""
+    names = list(scene.cameras)
+    start, camera = scene.observers
+    count = start[points + 1] - start[points]
+    which = np.repeat(np.arange(len(points)), count)
+    offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    observer = camera[np.repeat(start[points], count) + offset]
+    other = observer != names.index(reference)
+    which, observer = which[other], observer[other]
+
+    world = scene.points[points[which]]
+    centres = np.array([scene.cameras[name].centre for name in names])
+    focals = np.array([scene.cameras[name].intrinsics[0, 0] for name in names])
+    here = scene.cameras[reference].centre - world
+    there = centres[observer] - world
+    here_distance, there_distance = np.linalg.norm(here, axis=1), np.linalg.norm(there, axis=1)
+    cosine = (here * there).sum(axis=1) / (here_distance * there_distance)
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    # OpenMVS: best at 12 degrees; a source may be finer by up to 1.6, other ratios count less.
+    angle_sigma = np.where(angle < 12, 0.38 * 12, 0.7 * 12)
+    angle_weight = np.maximum(np.exp(-((angle - 12) ** 2) / (2 * angle_sigma**2)), 0.1)
+    angle_weight[angle < 1] = 0.0
+    own_focal = scene.cameras[reference].intrinsics[0, 0]
+    ratio = (here_distance / own_focal) / (there_distance / focals[observer])
+    scale_weight = np.where(
+        ratio > 1.6, (1.6 / ratio) ** 2, np.where(ratio < 1, np.minimum(ratio, 1) ** 2, 1.0)
+    )
+    score = np.bincount(observer, angle_weight * scale_weight, minlength=len(names))
+    shared = np.bincount(observer, minlength=len(names))
+    enough = min(_MIN_SHARED, max(3, len(points) // 4))
+    order = np.lexsort((np.arange(len(names)), -score))
+    return [names[i] for i in order if score[i] > 0 and shared[i] >= enough]
+
+
+def _ranks(scene: NativeScene) -> dict[str, int]:
+    """Native images by the median size of their pixels on the ground, the finest first."""
+    sampling = {
+        name: float(np.median(seen.depth)) / scene.cameras[name].intrinsics[0, 0]
+        if len(seen.depth)
+        else float("inf")
+        for name, seen in scene.observations.items()
+    }
+    ordered = sorted(sampling, key=lambda name: (sampling[name], name))
+    return {name: rank for rank, name in enumerate(ordered)}
+
+
+def _write_colmap_lists(workspace: Workspace, found: Views) -> None:
+    """patch-match.cfg with explicit sources (sub-images that a source window touches) and fusion.cfg."""
+    natives = {native.name: native for native in workspace.natives}
+    lines = []
+    for one in found.sub_images.values():
+        touched = [
+            (source.window.intersection(sub.core).area, order, sub.name)
+            for order, source in enumerate(one.sources)
+            for sub in natives[source.name].sub_images
+        ]
+        best = sorted((-area, order, name) for area, order, name in touched if area)
+        if best:
+            lines += [one.name, ", ".join(name for _, _, name in best[:_SOURCE_SUB_IMAGES])]
+    listed = [one.name for one in found.sub_images.values() if one.sources]
+    for name, text in (("patch-match.cfg", lines), ("fusion.cfg", listed)):
+        with written_whole(workspace.stereo / name) as path:
+            path.write_text("\n".join(text) + "\n", encoding="utf-8")
+
+
+def _write_views(path: Path, found: Views) -> None:
+    def corners(rectangle: Rectangle) -> list[int]:
+        return [rectangle.x0, rectangle.y0, rectangle.width, rectangle.height]
+
+    write_json(
+        path,
+        {
+            "version": 1,
+            "rank": found.rank,
+            "sub_images": [
+                {
+                    "name": one.name,
+                    "window": corners(one.window),
+                    "min_depth": one.min_depth,
+                    "max_depth": one.max_depth,
+                    "sources": [
+                        {"name": source.name, "window": corners(source.window)}
+                        for source in one.sources
+                    ],
+                }
+                for one in found.sub_images.values()
+            ],
+        },
+    )

@@ -1,0 +1,106 @@
+#include "fusion.h"
+
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include "plane_scene.h"
+
+namespace sirpy {
+namespace {
+
+const Eigen::Vector3d kNormal = Eigen::Vector3d(0.3, -0.2, -1).normalized();
+
+std::vector<RenderedView> PlaneViews() {
+  std::vector<RenderedView> views;
+  for (const Eigen::Vector3d& centre :
+       {Eigen::Vector3d(0, 0, 0), {-1, 0, 0}, {1, 0.2, 0.1}, {0.1, 1, 0}}) {
+    views.push_back(Render(centre, PlaneSurface(kNormal, kNormal.z() * 10), 120, 90, kNormal));
+  }
+  return views;
+}
+
+FusedPoints FuseView(const std::vector<RenderedView>& views, size_t reference,
+                     FusionOptions options = {}) {
+  std::vector<DepthView> sources;
+  for (size_t i = 0; i < views.size(); ++i) {
+    if (i != reference) sources.push_back(views[i].Depths(int(i)));
+  }
+  return Fuse(views[reference].Depths(int(reference)), views[reference].normal.data(), sources,
+              options);
+}
+
+TEST(Fusion, PerfectDepthsGiveAPerfectCloud) {
+  const std::vector<RenderedView> views = PlaneViews();
+  const FusedPoints points = FuseView(views, 0);
+  ASSERT_GT(points.pixel.size(), 0.7 * 120 * 90);
+  for (size_t i = 0; i < points.pixel.size(); ++i) {
+    const Eigen::Map<const Eigen::Vector3d> point(&points.position[3 * i]);
+    EXPECT_NEAR(kNormal.dot(point), kNormal.z() * 10, 1e-4);
+    EXPECT_GT(Eigen::Map<const Eigen::Vector3f>(&points.normal[3 * i]).cast<double>().dot(kNormal),
+              0.9999);
+    // On the ray of the pixel's centre: no half pixel is lost.
+    const RenderedView& view = views[0];
+    const Eigen::Vector2d pixel =
+        (view.intrinsics * (view.rotation * point + view.translation)).hnormalized();
+    EXPECT_NEAR(pixel.x(), double(points.pixel[i] % 120) + 0.5, 1e-6);
+    EXPECT_NEAR(pixel.y(), double(points.pixel[i] / 120) + 0.5, 1e-6);
+  }
+}
+
+TEST(Fusion, ASurfaceIsEmittedByOneView) {
+  const std::vector<RenderedView> views = PlaneViews();
+  size_t all = 0, owned = 0;
+  FusionOptions duplicates;
+  duplicates.keep_duplicates = true;
+  for (size_t i = 0; i < views.size(); ++i) {
+    owned += FuseView(views, i).pixel.size();
+    all += FuseView(views, i, duplicates).pixel.size();
+  }
+  EXPECT_LT(owned, 0.6 * all);
+  EXPECT_GE(owned, FuseView(views, 0, duplicates).pixel.size());
+}
+
+TEST(Fusion, ADepthThatNoOtherViewConfirmsIsDropped) {
+  std::vector<RenderedView> views = PlaneViews();
+  const size_t wrong = 45 * 120 + 60;
+  views[0].depth[wrong] *= 1.1f;
+  const FusedPoints points = FuseView(views, 0);
+  EXPECT_EQ(std::count(points.pixel.begin(), points.pixel.end(), int64_t(wrong)), 0);
+}
+
+TEST(Fusion, AWindowGivesThePointsOfTheWhole) {
+  const std::vector<RenderedView> views = PlaneViews();
+  const FusedPoints whole = FuseView(views, 0);
+  // The left half of the reference, as its own window.
+  DepthView half = views[0].Depths(0);
+  half.rectangle = {0, 0, 60, 90};
+  std::vector<float> depth, normal(3 * 60 * 90);
+  for (int y = 0; y < 90; ++y) {
+    for (int x = 0; x < 60; ++x) {
+      depth.push_back(views[0].depth[y * 120 + x]);
+      for (int i = 0; i < 3; ++i) {
+        normal[i * 60 * 90 + y * 60 + x] = views[0].normal[i * 120 * 90 + y * 120 + x];
+      }
+    }
+  }
+  half.depth = depth.data();
+  std::vector<DepthView> sources;
+  for (size_t i = 1; i < views.size(); ++i) sources.push_back(views[i].Depths(int(i)));
+  const FusedPoints part = Fuse(half, normal.data(), sources, {});
+
+  std::set<std::array<double, 3>> of_whole, of_part;
+  for (size_t i = 0; i < whole.pixel.size(); ++i) {
+    if (whole.pixel[i] % 120 < 60) {
+      of_whole.insert(
+          {whole.position[3 * i], whole.position[3 * i + 1], whole.position[3 * i + 2]});
+    }
+  }
+  for (size_t i = 0; i < part.pixel.size(); ++i) {
+    of_part.insert({part.position[3 * i], part.position[3 * i + 1], part.position[3 * i + 2]});
+  }
+  EXPECT_EQ(of_whole, of_part);
+}
+
+}  // namespace
+}  // namespace sirpy

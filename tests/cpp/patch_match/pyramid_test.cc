@@ -1,0 +1,25 @@
+#include "patch_match/pyramid.h"
+
+#include <gtest/gtest.h>
+
+namespace sirpy::patch_match {
+namespace {
+
+TEST(Pyramid, AveragesBlocksAndWhatIsLeftAtAnOddBorder) {
+  const std::vector<uint8_t> grey = {10, 20, 100,  //
+                                     30, 40, 200,  //
+                                     50, 60, 250};
+  const std::vector<GreyImage> pyramid = Pyramid(grey.data(), 3, 3, 2);
+  ASSERT_EQ(pyramid.size(), 1u);
+  EXPECT_EQ(pyramid[0].width, 2);
+  EXPECT_EQ(pyramid[0].pixels, (std::vector<uint8_t>{25, 150, 55, 250}));
+}
+
+TEST(PackQuads, HoldsTheFourNeighbours) {
+  const std::vector<uint8_t> grey = {1, 2, 3, 4};
+  EXPECT_EQ(PackQuads(grey.data(), 2, 2)[0], 0x04030201u);
+  EXPECT_EQ(PackQuads(grey.data(), 2, 2)[3], 0x04040404u);
+}
+
+}  // namespace
+}  // namespace sirpy::patch_match

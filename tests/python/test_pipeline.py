@@ -1,0 +1,134 @@
+"""The whole pipeline on a small synthetic scene: quality, determinism, resume, what COLMAP makes of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sirpy.dense_stereo import StereoOptions
+from sirpy.pipeline import reconstruct
+from sirpy.ply import read_vertices
+from sirpy.rectangle import Grid
+from sirpy.synthetic import evaluate
+from sirpy.windows import read_map
+from sirpy.workspace import Workspace
+
+
+@pytest.fixture(scope="module")
+def whole(town: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scene reconstructed without cutting, on one thread."""
+    output = tmp_path_factory.mktemp("whole") / "out"
+    reconstruct(town / "images", output, model=town / "sparse", grid=Grid(1, 1), threads=1)
+    return output
+
+
+@pytest.fixture(scope="module")
+def cut(town: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("cut") / "out"
+    reconstruct(town / "images", output, model=town / "sparse", grid=Grid(2, 2), threads=2)
+    return output
+
+
+def test_cutting_costs_no_quality(town: Path, whole: Path, cut: Path) -> None:
+    of_whole = evaluate(town, whole / "fused.ply", thresholds=(2,))
+    of_cut = evaluate(town, cut / "fused.ply", thresholds=(2,))
+    assert of_whole.accuracy[0] > 0.85 and of_whole.completeness[0] > 0.75
+    assert abs(of_whole.completeness[0] - of_cut.completeness[0]) < 0.02
+    assert abs(of_whole.accuracy[0] - of_cut.accuracy[0]) < 0.02
+
+
+def test_every_missing_pixel_has_a_reason(cut: Path) -> None:
+    workspace = Workspace(cut)
+    for _, sub_image in workspace.sub_images():
+        depth = read_map(workspace.depth_map(sub_image, "geometric"))
+        reason = read_map(workspace.reason_map(sub_image))
+        normal = read_map(workspace.normal_map(sub_image, "geometric"))
+        assert ((depth > 0) == (reason == 0)).all()
+        assert depth.shape == (sub_image.stored.height, sub_image.stored.width)
+        length = np.linalg.norm(normal, axis=0)
+        np.testing.assert_allclose(length[depth > 0], 1, atol=1e-5)
+        assert (length[depth == 0] == 0).all()
+
+
+def test_the_cloud_is_binary_with_normals_and_colours(cut: Path) -> None:
+    points = read_vertices(cut / "fused.ply")
+    assert points.dtype.names == ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue")
+    assert len(points) > 10_000
+    assert all(np.isfinite(points[name]).all() for name in ("x", "y", "z", "nx", "ny", "nz"))
+
+
+def test_a_killed_run_goes_on_where_it_was_and_ends_the_same(
+    town: Path, cut: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "out"
+    command = [sys.executable, "-m", "sirpy", "reconstruct", str(town / "images")]
+    command += ["--output", str(output), "--model", str(town / "sparse")]
+    command += ["--columns", "2", "--rows", "2", "--threads", "1", "--quiet"]
+    depth_maps = output / "stereo" / "depth_maps"
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and len(list(depth_maps.glob("*.geometric.bin"))) < 3:
+        time.sleep(0.05)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    finished = {path: path.stat().st_mtime_ns for path in depth_maps.glob("*.bin")}
+    assert len([path for path in finished if ".geometric." in path.name]) >= 3
+    assert not (output / "fused.ply").exists()
+
+    again = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert again.returncode == 0, again.stderr
+    assert {path: path.stat().st_mtime_ns for path in finished} == finished
+    assert (output / "fused.ply").read_bytes() == (cut / "fused.ply").read_bytes()
+    assert not list(output.rglob("*.tmp*"))
+
+
+def test_other_options_do_the_stage_again(town: Path, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    few = StereoOptions(geometric_iterations=1)
+    arguments = {"model": town / "sparse", "grid": Grid(1, 1), "num_sources": 2}
+    reconstruct(town / "images", output, stereo_options=few, **arguments)
+    first = (output / "fused.ply").read_bytes()
+    reconstruct(town / "images", output, stereo_options=StereoOptions(), **arguments)
+    assert (output / "fused.ply").read_bytes() != first
+
+
+def test_pycolmap_fuses_the_workspace(town: Path, cut: Path, tmp_path: Path) -> None:
+    # In a process of its own: an abort inside COLMAP must not end the tests.
+    cloud = tmp_path / "colmap.ply"
+    code = (
+        "import sys, pycolmap;"
+        "pycolmap.stereo_fusion(sys.argv[1], sys.argv[2], workspace_format='COLMAP',"
+        "input_type='geometric')"
+    )
+    subprocess.run([sys.executable, "-c", code, str(cloud), str(cut)], check=True, timeout=120)
+    assert evaluate(town, cloud, thresholds=(5,)).accuracy[0] > 0.8
+
+
+def _installed_colmap() -> str | None:
+    candidates = [
+        Path(folder) / "colmap" for folder in os.environ.get("PATH", "").split(os.pathsep)
+    ]
+    for path in candidates:
+        if os.access(path, os.X_OK) and path.read_bytes()[:4] == b"\x7fELF":
+            return str(path)
+    return None
+
+
+@pytest.mark.skipif(_installed_colmap() is None, reason="no COLMAP program is installed")
+def test_the_installed_colmap_fuses_the_workspace(town: Path, cut: Path, tmp_path: Path) -> None:
+    colmap = _installed_colmap()
+    assert colmap is not None
+    workspace = tmp_path / "copy"
+    shutil.copytree(cut, workspace)
+    cloud = tmp_path / "colmap.ply"
+    command = [colmap, "stereo_fusion", "--workspace_path", str(workspace)]
+    command += ["--input_type", "geometric", "--output_path", str(cloud)]
+    subprocess.run(command, check=True, timeout=120, capture_output=True)
+    assert evaluate(town, cloud, thresholds=(5,)).accuracy[0] > 0.8
