@@ -1,8 +1,8 @@
 """Photographs: finding them, reading their rows, decimating them.
 
-JPEG and PNG go through libjpeg-turbo and libpng, everything else through GDAL by bands of rows; never whole when it
-can be avoided. Pixels are 8-bit grey or RGB as stored: an EXIF orientation is not applied, since
-COLMAP solves cameras without it.
+JPEG and PNG go through libjpeg-turbo and libpng, everything else through GDAL by bands of rows;
+never whole when it can be avoided. Pixels are 8-bit grey or RGB as stored: an EXIF orientation is not
+applied, since COLMAP solves cameras without it.
 """
 
 from __future__ import annotations

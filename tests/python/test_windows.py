@@ -76,30 +76,31 @@ def test_windows_beyond_the_image_are_refused(workspace: Workspace) -> None:
 @pytest.mark.parametrize("kind", ["depth", "normal"])
 def test_map_windows_across_borders_are_the_uncut_map(workspace: Workspace, kind: str) -> None:
     native = workspace.natives[0]
-    shape = (HEIGHT, WIDTH) + ((3,) if kind == "normal" else ())
+    shape = ((3,) if kind == "normal" else ()) + (HEIGHT, WIDTH)
     whole = np.random.default_rng(0).normal(size=shape).astype(np.float32)
     path_of = workspace.depth_map if kind == "depth" else workspace.normal_map
     for sub in native.sub_images:
-        write_map(path_of(sub, "geometric"), whole[sub.stored.slices_in(native.rectangle)])
+        write_map(path_of(sub, "geometric"), whole[(..., *sub.stored.slices_in(native.rectangle))])
     rectangle = Rectangle(10, 5, 70, 60)
     window = read_map_window(workspace, native, rectangle, kind)
-    np.testing.assert_array_equal(window, whole[rectangle.slices_in(native.rectangle)])
+    part = whole[(..., *rectangle.slices_in(native.rectangle))]
+    np.testing.assert_array_equal(window, part)
     with pytest.raises(InputError, match="there is no map"):
         read_map_window(workspace, native, rectangle, kind, "photometric")
 
 
 def test_maps_are_in_colmaps_format(tmp_path: Path) -> None:
     path = tmp_path / "map.bin"
-    normals = np.arange(2 * 3 * 3, dtype=np.float32).reshape(2, 3, 3)
+    normals = np.arange(2 * 3 * 3, dtype=np.float32).reshape(3, 2, 3)
     write_map(path, normals)
     data = path.read_bytes()
     assert data.startswith(b"3&2&3&")
     # The x of all pixels comes first, row by row.
-    np.testing.assert_array_equal(np.frombuffer(data[6:], "<f4", 6), normals[..., 0].ravel())
+    np.testing.assert_array_equal(np.frombuffer(data[6:], "<f4", 6), normals[0].ravel())
     np.testing.assert_array_equal(read_map(path), normals)
-    write_map(path, normals[..., 1].copy())
+    write_map(path, normals[1].copy())
     assert path.read_bytes().startswith(b"3&2&1&")
-    np.testing.assert_array_equal(read_map(path), normals[..., 1])
+    np.testing.assert_array_equal(read_map(path), normals[1])
 
 
 @pytest.mark.parametrize("damage", ["short", "long", "header", "empty", "zero"])

@@ -29,11 +29,15 @@ int64_t Stencil(double position, int64_t nodes) {
   return std::clamp<int64_t>(static_cast<int64_t>(std::floor(position)) - 1, 0, nodes - 4);
 }
 
-int32_t ToSubPixels(double position) {
-  // Adding a bias makes the conversion round downwards without floor().
-  constexpr double kBias = 1 << 29;
-  const double scaled = (position - 0.5) * LensMap::kSubPixels + 0.5;
-  return static_cast<int32_t>(std::min(std::max(scaled, -kBias), kBias) + kBias) - (1 << 29);
+// Nodes farther off than this (in pixels) are drawn in, so that sub-pixels never overflow 32 bits:
+// a cubic through four bounded nodes stays within twice the bound.
+constexpr double kFarthest = 120000;
+
+// Without floor(), so that the compiler vectorises it: the bias makes the conversion round
+// downwards.
+inline int32_t ToSubPixels(double position) {
+  constexpr int32_t kBias = 1 << 29;
+  return static_cast<int32_t>((position - 0.5) * LensMap::kSubPixels + (kBias + 0.5)) - kBias;
 }
 
 }  // namespace
@@ -54,6 +58,7 @@ LensMap::LensMap(std::vector<double> nodes, int64_t node_rows, int64_t node_colu
   if (!std::all_of(nodes_.begin(), nodes_.end(), [](double v) { return std::isfinite(v); })) {
     throw std::invalid_argument("the nodes of a lens map must be finite");
   }
+  for (double& node : nodes_) node = std::clamp(node, -kFarthest, kFarthest);
 }
 
 std::vector<double> LensMap::NodeRow(double undistorted_y) const {
@@ -77,7 +82,7 @@ Eigen::Vector2d LensMap::At(const Eigen::Vector2d& undistorted) const {
           Cubic(p[1], p[3], p[5], p[7])(position - first)};
 }
 
-void LensMap::Row(int64_t row, int32_t* x, int32_t* y) const {
+void LensMap::Row(int64_t row, int32_t* __restrict x, int32_t* __restrict y) const {
   const std::vector<double> nodes = NodeRow(row + 0.5);
   int64_t begin = 0;
   for (int64_t first = 0; first + 4 <= node_columns_; ++first) {

@@ -29,10 +29,9 @@ class LensMap {
   // The position in the photograph of a position in the undistorted image.
   Eigen::Vector2d At(const Eigen::Vector2d& undistorted) const;
 
-  // The pixels of row y: x[column], y[column] = kSubPixels * (position - 0.5), rounded, so that
-  // pixel (i, j) of the photograph has its centre at (kSubPixels * i, kSubPixels * j). Far-off ones
-  // are clamped.
-  void Row(int64_t row, int32_t* x, int32_t* y) const;
+  // The pixels of a row: x[column], y[column] = kSubPixels * (position - 0.5), rounded, so that
+  // pixel (i, j) of the photograph has its centre at (kSubPixels * i, kSubPixels * j).
+  void Row(int64_t row, int32_t* __restrict x, int32_t* __restrict y) const;
 
  private:
   // Cubic polynomials of a row of node columns: x and y alternate.

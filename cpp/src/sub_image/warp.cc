@@ -62,9 +62,10 @@ void Warp::BeginBand() {
     int32_t* x = &band_x_[row * width];
     int32_t* y = &band_y_[row * width];
     lens_->Row(band_begin_ + row, x, y);
-    const auto [least, most] = std::minmax_element(y, y + width);
-    lowest = std::min(lowest, *least);
-    highest = std::max(highest, *most);
+    for (int64_t column = 0; column < width; ++column) {
+      lowest = std::min(lowest, y[column]);
+      highest = std::max(highest, y[column]);
+    }
   }
   if (band_rows_ == 0) return;
   // Pixels left or right of the photograph count too: the first row then never moves back up.
@@ -107,6 +108,10 @@ void Warp::WarpRow(const int32_t* x, const int32_t* y, uint8_t* out) const {
   // One comparison each: a negative index becomes a huge one.
   const uint32_t end_x = static_cast<uint32_t>(source_.width - 1);
   const uint32_t end_y = static_cast<uint32_t>(source_.height - 1);
+  // Copies of members: bytes written through `out` might otherwise be taken for them.
+  const uint8_t* const kept = kept_.data();
+  const int64_t slots = capacity_ - 1;
+  const int64_t row_bytes = source_.RowBytes();
   const int64_t width = lens_->width();
   for (int64_t column = 0; column < width; ++column, out += kChannels) {
     const int32_t left = x[column] >> LensMap::kSubPixelBits;
@@ -117,13 +122,16 @@ void Warp::WarpRow(const int32_t* x, const int32_t* y, uint8_t* out) const {
     }
     const int32_t dx = x[column] & (kOne - 1);
     const int32_t dy = y[column] & (kOne - 1);
-    const uint8_t* above = Slot(top) + kChannels * left;
-    const uint8_t* below = Slot(top + 1) + kChannels * left;
+    const int32_t below_right = dx * dy;
+    const int32_t below_left = kOne * dy - below_right;
+    const int32_t above_right = kOne * dx - below_right;
+    const int32_t above_left = kOne * kOne - kOne * dy - above_right;
+    const uint8_t* above = kept + (top & slots) * row_bytes + kChannels * left;
+    const uint8_t* below = kept + ((top + 1) & slots) * row_bytes + kChannels * left;
     for (int channel = 0; channel < kChannels; ++channel) {
-      const int32_t upper = above[channel] * (kOne - dx) + above[channel + kChannels] * dx;
-      const int32_t lower = below[channel] * (kOne - dx) + below[channel + kChannels] * dx;
-      out[channel] =
-          static_cast<uint8_t>((upper * (kOne - dy) + lower * dy + (1 << (kShift - 1))) >> kShift);
+      const int32_t sum = above[channel] * above_left + above[channel + kChannels] * above_right +
+                          below[channel] * below_left + below[channel + kChannels] * below_right;
+      out[channel] = static_cast<uint8_t>((sum + (1 << (kShift - 1))) >> kShift);
     }
   }
 }

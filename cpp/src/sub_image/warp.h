@@ -35,9 +35,6 @@ class Warp : public RowSink {
   uint8_t* Slot(int64_t source_row) {
     return &kept_[(source_row & (capacity_ - 1)) * source_.RowBytes()];
   }
-  const uint8_t* Slot(int64_t source_row) const {
-    return const_cast<Warp*>(this)->Slot(source_row);
-  }
 
   std::shared_ptr<const LensMap> lens_;
   ImageShape source_;

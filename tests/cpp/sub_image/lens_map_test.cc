@@ -71,8 +71,8 @@ TEST(LensMap, FarPositionsDoNotOverflow) {
                      4, 4, 9, 9);
   std::vector<int32_t> x(9), y(9);
   lens.Row(0, x.data(), y.data());
-  EXPECT_LT(x[0], -(1 << 28));
-  EXPECT_GT(x[8], 1 << 28);
+  EXPECT_LT(x[0], -(1 << 27));
+  EXPECT_GT(x[8], 1 << 27);
 }
 
 TEST(LensMap, RefusesNodesThatAreNone) {
