@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pycolmap
 
-from sirpy.files import written_whole
+from sirpy.files import fingerprint, written_whole
 from sirpy.workspace import Workspace
 
 _SCRIPT = """\
@@ -42,6 +42,10 @@ def write_dense_folder(workspace: Workspace, source_images: int) -> list[str]:
     model = pycolmap.Reconstruction(workspace.sparse)
     images = [model.image(image_id) for image_id in model.reg_image_ids()]
     names = sorted(image.name for image in images if image.num_points3D > 0)
+    # What COLMAP writes here belongs to this cut: cutting anew clears it away.
+    inputs = fingerprint("colmap", source_images, workspace.fingerprint_of("cut"))
+    if not workspace.begin_stage("views", inputs):
+        workspace.begin_stage("stereo", inputs)
     for kind in ("depth_maps", "normal_maps", "consistency_graphs"):
         workspace.stereo_folder(kind).mkdir(parents=True, exist_ok=True)
     texts = {

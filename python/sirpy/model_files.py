@@ -274,7 +274,8 @@ def _parameters_of_models() -> dict[int, int]:
     numbers = {}
     for name, model in pycolmap.CameraModelId.__members__.items():
         if name != "INVALID":
-            numbers[int(model)] = len(pycolmap.Camera.create_from_model_id(0, model, 1.0, 1, 1).params)
+            camera = pycolmap.Camera.create_from_model_id(0, model, 1.0, 1, 1)
+            numbers[int(model)] = len(camera.params)
     return numbers
 
 

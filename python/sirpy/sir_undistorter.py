@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sirpy.errors import InputError, SirpyError
-from sirpy.progress import Progress
+from sirpy.progress import Progress, make_progress
 from sirpy.rectangle import Grid
 from sirpy.undistorter_options import Options, parse
 
@@ -26,20 +26,13 @@ if TYPE_CHECKING:
 _EXIT_USER_ERROR = 2
 
 
-class _Notes(Progress):
-    """Prints the notes; COLMAP's tools show no bars either."""
-
-    def note(self, text: str) -> None:
-        print(text, file=sys.stderr)
-
-
 def main(arguments: list[str]) -> int:
     """Runs the command; the exit status: 0, or 2 after one sentence about what to mend."""
     try:
         options = parse(arguments)
         for note in options.notes:
             print(note, file=sys.stderr)
-        sir_undistorter(options, _Notes())
+        sir_undistorter(options, make_progress(quiet=False))
     except SirpyError as error:
         print(f"colmap sir_undistorter: {error}", file=sys.stderr)
         return _EXIT_USER_ERROR

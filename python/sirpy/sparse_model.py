@@ -28,7 +28,14 @@ from sirpy.progress import Progress, Steps
 from sirpy.structure_from_motion import DecimatedPhotograph, Task, first_octave
 from sirpy.workspace import LeftOut, Workspace
 
-__all__ = ["SparseResult", "model_identity", "predicted_peak", "read_model", "sparse"]
+__all__ = [
+    "SparseResult",
+    "model_identity",
+    "predicted_peak",
+    "predicted_sparse_peak",
+    "read_model",
+    "sparse",
+]
 
 # One focal length and one radial term: as good as OPENCV's eight parameters on convergent views
 # once the principal point is free, nearer to the calibrated focal length on a short nadir strip,
@@ -73,6 +80,23 @@ def predicted_peak(
     return int(2 * _PROCESS + max(_NATIVE * width * height, features, _MAPPING * count))
 
 
+def predicted_sparse_peak(
+    images: Path, threads: int, memory: int | None = None, *, max_size: int = 2304
+) -> int:
+    """`predicted_peak` for the photographs in a folder, with the threads that `sparse` would take.
+
+    Raises:
+        InputError: there are no photographs.
+        BudgetError: not even one thread fits in `memory`.
+    """
+    sizes = list(_native_sizes(images, find_photographs(images), Progress())[0].values())
+    if not sizes:
+        return int(2 * _PROCESS)
+    width, height = _largest(sizes)
+    extractors = _extractors(sizes, threads or os.cpu_count() or 1, memory, max_size)
+    return predicted_peak(width, height, len(sizes), extractors, max_size=max_size)
+
+
 def sparse(
     images: Path,
     output: Path,
@@ -80,7 +104,7 @@ def sparse(
     max_size: int = 2304,
     camera_model: str = DEFAULT_CAMERA_MODEL,
     memory: int | None = None,
-    threads: int = 1,
+    threads: int = 0,
     progress: Progress | None = None,
 ) -> SparseResult:
     """Makes the sparse model of the photographs in `images`, in native pixels, in the workspace
@@ -93,6 +117,7 @@ def sparse(
     Args:
         max_size: longest side of the decimated photographs in pixels.
         memory: bound in bytes on this process and its child together; None for no bound.
+        threads: 0 for one on each core.
 
     Raises:
         InputError: fewer than two photographs are there, whole, or could be oriented.
@@ -100,6 +125,7 @@ def sparse(
         OutputError: the workspace cannot be written.
     """
     progress = progress or Progress()
+    threads = threads or os.cpu_count() or 1
     workspace = Workspace(output)
     names = find_photographs(images)
     inputs = fingerprint(
@@ -182,13 +208,17 @@ def _decimated(
     return photographs
 
 
+def _largest(sizes: list[tuple[int, int]]) -> tuple[int, int]:
+    return max(sizes, key=lambda size: size[0] * size[1])
+
+
 def _extractors(
     sizes: list[tuple[int, int]], threads: int, memory: int | None, max_size: int
 ) -> int:
     """Photographs whose features are found at once: `threads`, or as many as the memory holds."""
     if memory is None or not sizes:
         return threads
-    width, height = max(sizes, key=lambda size: size[0] * size[1])
+    width, height = _largest(sizes)
     count = len(sizes)
     for extractors in range(threads, 0, -1):
         if predicted_peak(width, height, count, extractors, max_size=max_size) <= memory:

@@ -174,7 +174,7 @@ def _checked(values: dict[str, Any], notes: list[str]) -> Options:
     ways = [by_count, values["max_sub_image_size"] is not None, values["memory"] is not None]
     if sum(ways) > 1:
         raise InputError(
-            "--sub_image_columns and --sub_image_rows, --max_sub_image_size, and --memory are three "
+            "--sub_image_columns with --sub_image_rows, --max_sub_image_size, --memory are three "
             "ways to choose the grid: give one of them"
         )
     return Options(

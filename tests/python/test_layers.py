@@ -14,17 +14,17 @@ LAYERS = """
     workspace progress
     _core
     photographs exif ply pictures
-    truth flight synthetic
+    flight truth synthetic
     model_files self_calibration structure_from_motion sparse_model
-    planning
-    lens sub_image_model cutting windows
+    lens sub_image_model native_scene
+    view_selection planning
+    cutting windows
     colmap_workspace undistorter_options sir_undistorter colmap_launcher
-    native_scene view_selection
     dense_stereo
     fusion
     html_report
     pipeline
-    cli
+    cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 

@@ -94,6 +94,18 @@ def test_only_the_listed_images_are_cut(inputs: list[str], tmp_path: Path) -> No
     assert image.name.startswith("2_")
 
 
+def test_the_same_again_keeps_the_depth_maps_and_another_grid_does_not(
+    inputs: list[str], tmp_path: Path
+) -> None:
+    assert main(inputs) == 0
+    made_by_colmap = tmp_path / "out" / "stereo" / "depth_maps" / "1.jpg.photometric.bin"
+    made_by_colmap.touch()
+    assert main(inputs) == 0
+    assert made_by_colmap.exists()
+    assert main([*inputs, "--sub_image_rows=2"]) == 0
+    assert not made_by_colmap.exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
