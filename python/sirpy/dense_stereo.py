@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from enum import IntFlag
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -101,16 +102,19 @@ def stereo(
         "photometric": _photometric,
         "geometric": _geometric,
     }
+    everything = list(workspace.sub_images())
     for of_pass, estimate in of_passes.items():
-        todo = list(workspace.sub_images())
+        todo = [unit for unit in everything if not _is_done(workspace, unit[1], of_pass)]
+        if len(todo) < len(everything):
+            done = len(everything) - len(todo)
+            progress.note(f"stereo, {of_pass}: {done} sub-images are done already")
         with progress.stage(f"stereo, {of_pass}", len(todo), "sub-image") as step:
             for native, sub_image in todo:
-                if not _is_done(workspace, sub_image, of_pass):
-                    problem = _Problem(
-                        workspace, natives, scene, native, views.sub_images[sub_image.name], options
-                    )
-                    maps = estimate(problem) if problem.views.sources else _nothing(problem)
-                    _write(workspace, native, sub_image, of_pass, maps, problem.views.window)
+                problem = _Problem(
+                    workspace, natives, scene, native, views.sub_images[sub_image.name], options
+                )
+                maps = estimate(problem) if problem.views.sources else _nothing(problem)
+                _write(workspace, sub_image, of_pass, maps, problem.views.window)
                 step.advance()
 
 
@@ -134,7 +138,7 @@ class _Problem:
         """A window of a native image with its camera, and what the photometric pass found in it."""
         native, camera = self.natives[name], self.scene.cameras[name]
 
-        def read(kind: str) -> FloatMap:
+        def read(kind: Literal["depth", "normal"]) -> FloatMap:
             return read_map_window(self.workspace, native, rectangle, kind, "photometric")
 
         return _core.ViewWindow(
@@ -182,11 +186,13 @@ def _geometric(problem: _Problem) -> DepthMap:
         np.empty((0, 3)),
         problem.core_options("geometric"),
     )
-    reason = np.zeros(depth.shape, np.uint8)
-    reason[(num_seeing == 0) | (depth == 0)] |= Reason.NOT_SEEN
-    reason[cost > options.max_cost] |= Reason.HIGH_COST
     # Where few photographs overlap no more can agree than there are.
-    reason[num_consistent < min(options.min_consistent, len(views.sources))] |= Reason.INCONSISTENT
+    enough = min(options.min_consistent, len(views.sources))
+    reason = (
+        ((num_seeing == 0) | (depth == 0)) * np.uint8(Reason.NOT_SEEN)
+        + (cost > options.max_cost) * np.uint8(Reason.HIGH_COST)
+        + (num_consistent < enough) * np.uint8(Reason.INCONSISTENT)
+    )
     return DepthMap(depth, normal, reason)
 
 
@@ -205,12 +211,7 @@ def _is_done(workspace: Workspace, sub_image: SubImage, of_pass: Pass) -> bool:
 
 
 def _write(
-    workspace: Workspace,
-    native: NativeImage,
-    sub_image: SubImage,
-    of_pass: Pass,
-    maps: DepthMap,
-    window: Rectangle,
+    workspace: Workspace, sub_image: SubImage, of_pass: Pass, maps: DepthMap, window: Rectangle
 ) -> None:
     """Cuts the halo off and writes the maps of what the sub-image stores; missing pixels are 0."""
     rows, columns = sub_image.stored.slices_in(window)

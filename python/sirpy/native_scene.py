@@ -32,12 +32,14 @@ class NativeCamera:
 
     def in_camera(self, world: Floats) -> Floats:
         """World points (n, 3) in the camera frame, (n, 3)."""
-        return world @ self.cam_from_world[:, :3].T + self.cam_from_world[:, 3]
+        in_camera: Floats = world @ self.cam_from_world[:, :3].T + self.cam_from_world[:, 3]
+        return in_camera
 
     def project(self, world: Floats) -> Floats:
         """Pixels (n, 2) of world points (n, 3) that lie in front of the camera."""
         homogeneous = self.in_camera(world) @ self.intrinsics.T
-        return homogeneous[:, :2] / homogeneous[:, 2:]
+        pixels: Floats = homogeneous[:, :2] / homogeneous[:, 2:]
+        return pixels
 
     def world(self, pixels: Floats, depth: Floats) -> Floats:
         """World points (n, 3) of pixels (n, 2) at depths (n,)."""

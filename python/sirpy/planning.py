@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from sirpy import _core
 from sirpy.errors import BudgetError, InputError
 from sirpy.native_scene import NativeScene
-from sirpy.photographs import cutting_bytes
 from sirpy.rectangle import Grid
 from sirpy.view_selection import SubImageViews, sub_image_views
 from sirpy.workspace import NativeImage, SubImage
@@ -23,6 +22,9 @@ from sirpy.workspace import NativeImage, SubImage
 PROCESS_BYTES = 150_000_000
 # The allocator and the kernel keep a little more than what is asked for.
 _SLACK = 1.05
+# Bands of rows of the photograph, of the undistorted image and of the files that are open: bytes for each pixel
+# of width. The height does not matter.
+_CUT_BYTES_PER_COLUMN = 6000
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
 _MOST_IMAGES = 40  # that a plan looks at; evenly chosen when there are more
 # Pixels that any stereo holds for each pixel of the reference: the reference and about 10 sources, at about 10
@@ -131,7 +133,7 @@ def _predict(scene: NativeScene, grid: Grid, num_sources: int, halo: int) -> dic
     stereo = fuse = cut = 0.0
     for camera in cameras:
         native = NativeImage(camera.name, camera.width, camera.height, ())
-        cut = max(cut, cutting_bytes(camera.width, camera.height))
+        cut = max(cut, _CUT_BYTES_PER_COLUMN * camera.width)
         for row, column, core in grid.cores(camera.width, camera.height):
             sub_image = SubImage("", row, column, core, core)
             views = sub_image_views(scene, native, sub_image, num_sources=num_sources, halo=halo)

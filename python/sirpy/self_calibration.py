@@ -10,6 +10,7 @@ photograph.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -74,7 +75,7 @@ def _deviations(
         return []
     deviations = []
     for camera in model.cameras.values():
-        of_camera = covariance.get_other_params_cov(camera.params)
+        of_camera: Any = covariance.get_other_params_cov(camera.params)
         if of_camera is None or len(of_camera) != len(camera.params):
             return []
         variances = np.diag(of_camera)[list(camera.principal_point_idxs())]
