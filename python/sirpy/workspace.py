@@ -146,7 +146,9 @@ class Workspace:
     def stereo(self) -> Path:
         return self.folder / "stereo"
 
-    def stereo_folder(self, kind: Literal["depth_maps", "normal_maps", "consistency_graphs"]) -> Path:
+    def stereo_folder(
+        self, kind: Literal["depth_maps", "normal_maps", "consistency_graphs"]
+    ) -> Path:
         return self.stereo / kind
 
     @property

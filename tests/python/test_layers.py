@@ -22,11 +22,11 @@ LAYERS = """
     colmap_workspace undistorter_options sir_undistorter colmap_launcher
     dense_stereo
     fusion
-    html_report
-    pipeline
-    cli __main__
+    cloud_picture overview html_report
+    pipeline demo
+    cli __init__ __main__
 """
-PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
+PLACES = {name: place for place, name in enumerate(LAYERS.split())}
 
 
 def imports(module: str) -> set[str]:
