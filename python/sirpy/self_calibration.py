@@ -10,10 +10,10 @@ photograph.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pycolmap
+from numpy.typing import NDArray
 
 # Standard deviation of an accepted principal point, relative to the longest side of the photograph.
 # Eleven convergent views of a facade have 3e-4, five nadir views of flat land 3e-3.
@@ -75,7 +75,7 @@ def _deviations(
         return []
     deviations = []
     for camera in model.cameras.values():
-        of_camera: Any = covariance.get_other_params_cov(camera.params)
+        of_camera: NDArray[np.float64] | None = covariance.get_other_params_cov(camera.params)
         if of_camera is None or len(of_camera) != len(camera.params):
             return []
         variances = np.diag(of_camera)[list(camera.principal_point_idxs())]
