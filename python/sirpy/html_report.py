@@ -55,6 +55,7 @@ def report(workspace: Workspace) -> Path:
         OutputError: the report cannot be written.
     """
     run = _read_run(workspace.run)
+    workspace.begin_stage("report", workspace.fingerprint_of("fuse"))
     parts = [
         _heading(run),
         _numbers(workspace, run),

@@ -45,7 +45,8 @@ class NativeCamera:
         """World points (n, 3) of pixels (n, 2) at depths (n,)."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.intrinsics).T
         in_camera = rays * depth[:, None]
-        return (in_camera - self.cam_from_world[:, 3]) @ self.cam_from_world[:, :3]
+        world: Floats = (in_camera - self.cam_from_world[:, 3]) @ self.cam_from_world[:, :3]
+        return world
 
 
 @dataclass(frozen=True)

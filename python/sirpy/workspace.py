@@ -40,7 +40,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/reason_maps",
     ),
     "fuse": ("fusion", "fused.ply"),
-    "report": ("report.html", "cloud.png", "report"),
+    "report": ("report.html", "cloud.png"),
 }
 
 
@@ -189,10 +189,6 @@ class Workspace:
     @property
     def cloud_picture(self) -> Path:
         return self.folder / "cloud.png"
-
-    @property
-    def report_pictures(self) -> Path:
-        return self.folder / "report"
 
     @property
     def run(self) -> Path:

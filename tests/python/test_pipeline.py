@@ -105,7 +105,7 @@ def test_pycolmap_fuses_the_workspace(town: Path, cut: Path, tmp_path: Path) -> 
     code = (
         "import sys, pycolmap;"
         "pycolmap.stereo_fusion(sys.argv[1], sys.argv[2], workspace_format='COLMAP',"
-        "input_type='geometric')"
+        "input_type='geometric', output_type='PLY')"
     )
     subprocess.run([sys.executable, "-c", code, str(cloud), str(cut)], check=True, timeout=120)
     assert evaluate(town, cloud, thresholds=(5,)).accuracy[0] > 0.8
