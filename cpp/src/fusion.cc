@@ -6,6 +6,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 #include <Eigen/Geometry>
 #include <Eigen/LU>
@@ -183,9 +184,17 @@ FusedPoints Fuse(const DepthView& reference, const float* normal,
     rows[size_t(y)] = FuseRow(reference_camera, normal, source_cameras, options, y);
   }
 
+  size_t count = 0;
+  for (const Row& row : rows) count += row.points.size();
   FusedPoints points;
-  for (const Row& row : rows) {
-    for (const Point& point : row.points) {
+  points.position.reserve(3 * count);
+  points.normal.reserve(3 * count);
+  points.pixel.reserve(count);
+  points.num_views.reserve(count);
+  for (Row& row : rows) {
+    // Freed as it is copied, so that the points are held only once.
+    const std::vector<Point> of_row = std::move(row.points);
+    for (const Point& point : of_row) {
       points.position.insert(points.position.end(), point.position.data(),
                              point.position.data() + 3);
       points.normal.insert(points.normal.end(), point.normal.data(), point.normal.data() + 3);
