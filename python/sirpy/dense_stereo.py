@@ -36,7 +36,7 @@ class Reason(IntFlag):
     """Why a pixel has no depth; one bit each, 0 for a pixel that has one."""
 
     NOT_SEEN = 1  # no source window holds its patch
-    HIGH_COST = 2  # it looks different in the sources
+    HIGH_COST = 2  # it looks different in the sources, and too few of them agree all the same
     INCONSISTENT = 4  # too few sources measured the same depth
     NO_SOURCES = 8  # the whole sub-image shares too few sparse points with other photographs
 
@@ -45,8 +45,11 @@ class Reason(IntFlag):
 class StereoOptions:
     """Options of `stereo`; those of the estimator carry the names and defaults of the C++ core."""
 
-    max_cost: float = 0.6  # 1 - NCC: pixels above have no depth
+    max_cost: float = 0.6  # 1 - NCC: pixels above need more sources that agree
     min_consistent: int = 2  # sources whose depth must agree
+    costly_consistent: int = (
+        5  # the same for pixels above max_cost: noise decides there, not texture
+    )
     top_views: int = 4  # sources that a pixel is matched against, at most
     native_iterations: int = 1  # sweeps at native resolution, photometric pass
     geometric_iterations: int = 2  # sweeps of the geometric pass
@@ -57,6 +60,7 @@ class StereoOptions:
         bounds = {
             "max_cost": (0, 2),
             "min_consistent": (0, 16),
+            "costly_consistent": (0, 17),
             "top_views": (1, 16),
             "native_iterations": (1, 100),
             "geometric_iterations": (1, 100),
@@ -190,7 +194,8 @@ def _geometric(problem: _Problem) -> DepthMap:
     enough = min(options.min_consistent, len(views.sources))
     reason = (
         ((num_seeing == 0) | (depth == 0)) * np.uint8(Reason.NOT_SEEN)
-        + (cost > options.max_cost) * np.uint8(Reason.HIGH_COST)
+        + ((cost > options.max_cost) & (num_consistent < options.costly_consistent))
+        * np.uint8(Reason.HIGH_COST)
         + (num_consistent < enough) * np.uint8(Reason.INCONSISTENT)
     )
     return DepthMap(depth, normal, reason)
