@@ -14,7 +14,7 @@ MEMORY ?= 8GB
 OUTPUT ?= demo/$(if $(IMAGES),$(shell basename "$(IMAGES)"),scene)
 
 SOURCES := $(shell find cpp python -name '*.cc' -o -name '*.h' -o -name 'CMakeLists.txt' \
-             -o -name '*.py' -o -name '*.pyi') CMakeLists.txt pyproject.toml
+             -o -name '*.py' -o -name '*.pyi' -o -name '*.css') CMakeLists.txt pyproject.toml
 CPP_FILES = $(shell find cpp tests/cpp -name '*.cc' -o -name '*.h')
 
 .PHONY: demo test lint clean
@@ -39,7 +39,7 @@ lint: $(VENV)/.installed $(VENV)/.test-tools $(VENV)/.lint-tools
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run -Werror $(CPP_FILES)
 
-$(VENV)/.made:
+$(VENV)/.made: third_party/debian-packages.txt
 	third_party/install_debian_packages.sh build
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; say which with make PYTHON=python3.11"; exit 1; }

@@ -3,7 +3,6 @@
 // 1.
 #pragma once
 
-#include <cmath>
 #include <cstdint>
 
 namespace sirpy {
@@ -19,8 +18,8 @@ static inline float InterpolatedInverseDepth(const float* rho, int width, float 
   const float nearest = fy < 0.5f ? upper[fx >= 0.5f] : lower[fx >= 0.5f];
   const float close = 0.01f * nearest;
   const bool one_surface =
-      std::fabs(upper[0] - nearest) < close && std::fabs(upper[1] - nearest) < close &&
-      std::fabs(lower[0] - nearest) < close && std::fabs(lower[1] - nearest) < close;
+      __builtin_fabsf(upper[0] - nearest) < close && __builtin_fabsf(upper[1] - nearest) < close &&
+      __builtin_fabsf(lower[0] - nearest) < close && __builtin_fabsf(lower[1] - nearest) < close;
   if (!one_surface) return nearest;
   const float top = upper[0] + fx * (upper[1] - upper[0]);
   const float bottom = lower[0] + fx * (lower[1] - lower[0]);

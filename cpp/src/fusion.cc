@@ -2,6 +2,7 @@
 
 #include <omp.h>
 
+#include <algorithm>
 #include <cmath>
 #include <optional>
 #include <stdexcept>
@@ -53,9 +54,9 @@ struct Camera {
   // constant.
   double Footprint(const Eigen::Vector3d& world, const Eigen::Vector3d& normal) const {
     const Eigen::Vector3d ray = world - centre;
-    const double cosine = std::abs(ray.normalized().dot(normal));
     const double depth = InCamera(world).z();
-    return depth * depth / (intrinsics(0, 0) * intrinsics(1, 1) * std::max(cosine, 1e-3));
+    const double facing = std::abs(ray.dot(normal)) / depth;
+    return depth * depth / (intrinsics(0, 0) * intrinsics(1, 1) * std::max(facing, 1e-3));
   }
 
   Eigen::Matrix3d intrinsics, inverse_intrinsics, rotation;
@@ -84,13 +85,15 @@ std::optional<Agreement> Agree(const Camera& reference, const Camera& source, do
   const Eigen::Vector3d in_source = source.InCamera(world);
   if (in_source.z() <= 0) return std::nullopt;
   const Eigen::Vector2d at = (source.intrinsics * in_source).hnormalized();
-  const double u = at.x() - double(source.window.x0), v = at.y() - double(source.window.y0);
-  if (!(u >= 0 && v >= 0 && u < double(source.window.width - 1) &&
-        v < double(source.window.height - 1))) {
+  // Bounds are tested in the precision that indices are computed in.
+  const float u = float(at.x() - double(source.window.x0));
+  const float v = float(at.y() - double(source.window.y0));
+  if (!(u >= 0 && v >= 0 && u < float(source.window.width - 1) &&
+        v < float(source.window.height - 1))) {
     return std::nullopt;
   }
-  const float rho = InterpolatedInverseDepth(source.inverse_depth.data(), int(source.window.width),
-                                             float(u), float(v));
+  const float rho =
+      InterpolatedInverseDepth(source.inverse_depth.data(), int(source.window.width), u, v);
   if (rho <= 0) return std::nullopt;
   const Eigen::Vector3d back = reference.InCamera(source.World(at.x(), at.y(), 1.0 / rho));
   if (back.z() <= 0) return std::nullopt;
@@ -156,6 +159,7 @@ Row FuseRow(const Camera& reference, const float* normals, const std::vector<Cam
     fused.points.push_back({reference.World(x, y, mean), world_normal.normalized().cast<float>(),
                             pixel, uint8_t(num_consistent + 1)});
   }
+  fused.points.shrink_to_fit();
   return fused;
 }
 

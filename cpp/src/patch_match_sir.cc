@@ -3,6 +3,7 @@
 #include <omp.h>
 
 #include <algorithm>
+#include <limits>
 #include <stdexcept>
 
 #include <Eigen/Geometry>
@@ -119,12 +120,18 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
   level.num_sources = int(sources.size());
   data.quads.resize(sources.size());
   data.inverse_depths.resize(sources.size());
+  // Allocated here: running out of memory inside a parallel region would end the process.
+  for (size_t j = 0; j < sources.size(); ++j) {
+    const LevelWindow pixels = AtLevel(sources[j], pyramids.sources[j], number);
+    data.quads[j].resize(size_t(pixels.width) * pixels.height);
+    if (sources[j].depth) data.inverse_depths[j].resize(data.quads[j].size());
+  }
 #pragma omp parallel for schedule(dynamic)
   for (size_t j = 0; j < sources.size(); ++j) {
     const ViewWindow& view = sources[j];
     patch_match::SourceLevel& source = level.sources[j];
     const LevelWindow pixels = AtLevel(view, pyramids.sources[j], number);
-    data.quads[j] = patch_match::PackQuads(pixels.grey, pixels.width, pixels.height);
+    patch_match::PackQuads(pixels.grey, pixels.width, pixels.height, data.quads[j].data());
     source.quads = data.quads[j].data();
     source.width = pixels.width;
     source.height = pixels.height;
@@ -134,7 +141,6 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
     SetWarp(view, reference, number, source.back_a, source.back_b);
     if (!view.depth) continue;
     std::vector<float>& inverse = data.inverse_depths[j];
-    inverse.resize(data.quads[j].size());
     for (size_t i = 0; i < inverse.size(); ++i) {
       inverse[i] = view.depth[i] > 0 ? 1 / view.depth[i] : 0;
     }
@@ -228,6 +234,20 @@ PatchMatchResult Finish(const Level& level, const KernelOptions& options, PlaneA
   return result;
 }
 
+// The number of threads inside its scope; the caller's is restored.
+class ThreadCount {
+ public:
+  explicit ThreadCount(int threads) : before_(omp_get_max_threads()) {
+    omp_set_num_threads(threads > 0 ? threads : omp_get_num_procs());
+  }
+  ~ThreadCount() { omp_set_num_threads(before_); }
+  ThreadCount(const ThreadCount&) = delete;
+  ThreadCount& operator=(const ThreadCount&) = delete;
+
+ private:
+  int before_;
+};
+
 int Iterations(const PatchMatchOptions& options, int level) {
   if (level == 0) return options.native_iterations;
   return level == options.levels - 1 ? options.coarsest_iterations : options.middle_iterations;
@@ -295,6 +315,9 @@ void PatchMatchOptions::Validate() const {
   Require(space_sigma > 0, "space_sigma", space_sigma, "> 0");
   Require(geometric_weight >= 0, "geometric_weight", geometric_weight, ">= 0");
   Require(max_geometric_error > 0, "max_geometric_error", max_geometric_error, "> 0");
+  // A true plane must never cost more than one that cannot be compared.
+  Require(geometric_weight * max_geometric_error < 2, "geometric_weight", geometric_weight,
+          "< 2 / max_geometric_error");
   Require(consistency > 0, "consistency", consistency, "> 0");
   Require(prior_variance > 0, "prior_variance", prior_variance, "> 0");
   Require(threads >= 0, "threads", threads, ">= 0");
@@ -317,6 +340,14 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
           "a window must be 2x2 pixels or more and start at a multiple of " + std::to_string(step) +
           " pixels");
     }
+    if (view.rectangle.width > std::numeric_limits<int32_t>::max() / view.rectangle.height) {
+      throw std::invalid_argument("a window must have fewer than 2^31 pixels");
+    }
+    const Eigen::Matrix3d& k = view.intrinsics;
+    if (!(k(0, 0) > 0 && k(1, 1) > 0 && k(2, 2) == 1 && k(0, 1) == 0 && k.allFinite() &&
+          view.rotation.allFinite() && view.translation.allFinite())) {
+      throw std::invalid_argument("a camera must be a finite pinhole without skew");
+    }
     if ((view.depth != nullptr) != geometric) {
       throw std::invalid_argument("either all windows have depths or none has");
     }
@@ -326,15 +357,15 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
   if (geometric && !reference.normal) {
     throw std::invalid_argument("the geometric pass needs the reference's normals");
   }
-  omp_set_num_threads(options.threads > 0 ? options.threads : omp_get_num_procs());
+  const ThreadCount threads(options.threads);
   return geometric ? GeometricPass(reference, sources, options)
                    : PhotometricPass(reference, sources, points, options);
 }
 
 PatchMatchMemory PatchMatchBytesPerPixel(bool geometric) {
-  // Reference: planes 18, prior 4, padded grey 1, results 18 (+ the coarser level's planes, 4.5,
-  // gone by then). Source: quads 4, pyramid 1/3, inverse depth 4.
-  return geometric ? PatchMatchMemory{41, 8} : PatchMatchMemory{43, 5};
+  // Reference: planes 18, prior 4, padded grey 1, results 22; photometric: a pyramid of 1/3.
+  // Source: quads 4, and a pyramid of 1/3 or inverse depths of 4.
+  return geometric ? PatchMatchMemory{45, 8} : PatchMatchMemory{46, 5};
 }
 
 }  // namespace sirpy

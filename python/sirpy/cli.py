@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,7 @@ from sirpy.errors import InputError, SirpyError
 if TYPE_CHECKING:
     from sirpy.pipeline import Reconstruction
     from sirpy.rectangle import Grid
+    from sirpy.workspace import LeftOut
 
 app = typer.Typer(
     name="sirpy",
@@ -55,8 +57,8 @@ def reconstruct(
     quiet: Quiet = False,
 ) -> None:
     """Photographs to a dense cloud: every stage, in the memory that you allow."""
+    from sirpy.memory import parse_memory
     from sirpy.pipeline import reconstruct as run
-    from sirpy.planning import parse_memory
     from sirpy.progress import make_progress
 
     result = run(
@@ -70,12 +72,7 @@ def reconstruct(
         progress=make_progress(quiet),
     )
     _print_result(result, memory)
-    if result.left_out:
-        names = ", ".join(out.name for out in result.left_out)
-        raise InputError(
-            f"{len(result.left_out)} photograph(s) were left out ({names}); the reconstruction is "
-            f"made of the others, and {result.workspace.report} says why"
-        )
+    _report_left_out(result.left_out)
 
 
 @app.command()
@@ -90,7 +87,7 @@ def sparse(
     """Cameras and sparse points by structure from motion on decimated photographs."""
     import os
 
-    from sirpy.planning import parse_memory
+    from sirpy.memory import parse_memory
     from sirpy.progress import make_progress
     from sirpy.sparse_model import sparse as run
 
@@ -103,6 +100,7 @@ def sparse(
         progress=make_progress(quiet),
     )
     print(f"model: {result.model}")
+    _report_left_out(result.left_out)
 
 
 @app.command()
@@ -115,8 +113,8 @@ def plan(
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
     """The grid for a memory budget, and the peak memory of each stage."""
+    from sirpy.memory import gigabytes, parse_memory
     from sirpy.native_scene import native_scene
-    from sirpy.planning import gigabytes, parse_memory
     from sirpy.planning import plan as run
     from sirpy.sparse_model import read_model
     from sirpy.sub_image_model import undistorted_model
@@ -148,8 +146,8 @@ def cut(
 ) -> None:
     """Recapture: undistorts the photographs and cuts them into sub-images with their own cameras."""
     from sirpy.cutting import cut as run
+    from sirpy.memory import parse_memory
     from sirpy.native_scene import native_scene
-    from sirpy.planning import parse_memory
     from sirpy.planning import plan as choose
     from sirpy.progress import make_progress
     from sirpy.sparse_model import model_identity, read_model
@@ -172,6 +170,7 @@ def cut(
         progress=make_progress(quiet),
     )
     print(f"sub-images: {workspace.images}")
+    _report_left_out(workspace.left_out)
 
 
 @app.command()
@@ -258,7 +257,7 @@ def demo(
 ) -> None:
     """A synthetic aerial scene: rendered, reconstructed and judged by its exact ground truth."""
     from sirpy.demo import demo as run
-    from sirpy.planning import parse_memory
+    from sirpy.memory import parse_memory
     from sirpy.progress import make_progress
 
     made = run(output, memory=parse_memory(memory), progress=make_progress(quiet))
@@ -267,13 +266,24 @@ def demo(
 
 
 def _print_result(result: Reconstruction, memory: str) -> None:
-    from sirpy.planning import gigabytes
+    from sirpy.memory import gigabytes
 
     print(f"cloud:   {result.workspace.fused} ({result.points:,} points)")
     print(f"report:  {result.workspace.report}")
-    print(f"picture: {result.workspace.cloud_picture}")
+    if result.workspace.cloud_picture.exists():
+        print(f"picture: {result.workspace.cloud_picture}")
     if result.peak_bytes is not None:
         print(f"memory:  {gigabytes(result.peak_bytes)} at the peak, of {memory}")
+
+
+def _report_left_out(left_out: Sequence[LeftOut]) -> None:
+    """The exit status says that something is missing, although the rest is done."""
+    if left_out:
+        reasons = "; ".join(f"{out.name}: {out.reason}" for out in left_out[:3])
+        more = f"; and {len(left_out) - 3} more" if len(left_out) > 3 else ""
+        raise InputError(
+            f"the result is made without {len(left_out)} of the photographs ({reasons}{more})"
+        )
 
 
 def _grid(columns: int | None, rows: int | None) -> Grid | None:

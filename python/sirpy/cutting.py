@@ -13,7 +13,13 @@ import pycolmap
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
 from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
-from sirpy.photographs import Photograph, check_names, open_photograph, recapture_photograph
+from sirpy.photographs import (
+    Photograph,
+    check_folders,
+    check_names,
+    open_photograph,
+    recapture_photograph,
+)
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
@@ -35,9 +41,9 @@ class _Task:
 
 
 def cut(
-    images: Path,
+    images: Path | str,
     model: pycolmap.Reconstruction,
-    output: Path,
+    output: Path | str,
     *,
     identity: str,
     grid: Grid,
@@ -69,7 +75,9 @@ def cut(
             grid larger than an image, an unsafe name, a bad option.
         OutputError: the output folder cannot be written.
     """
+    images, output = Path(images), Path(output)
     _check_options(overlap, format, jpeg_quality)
+    check_folders(images, output)
     tasks, left_out = _check_inputs(images, model, grid, overlap, format, undistort)
     workspace = Workspace(output)
     _check_apart(images, workspace)
@@ -223,7 +231,6 @@ def _cut_photographs(
     progress: Progress,
 ) -> tuple[list[NativeImage], list[LeftOut]]:
     """The natives that were cut, now or by an earlier run, and the photographs that are damaged."""
-    _remove_leftovers(workspace)
     natives, damaged = [], []
     lens: tuple[int, Undistortion] | None = None
     with progress.stage("cut", len(tasks), "photograph") as steps:
@@ -267,9 +274,3 @@ def _cut_photograph(
     ]
     size = task.native.width, task.native.height
     recapture_photograph(task.photograph, how.lens, size, files, jpeg_quality)
-
-
-def _remove_leftovers(workspace: Workspace) -> None:
-    """Files that a killed run had not finished."""
-    for path in workspace.images.rglob(".*.tmp.*"):
-        path.unlink()

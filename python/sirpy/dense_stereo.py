@@ -69,7 +69,8 @@ class StereoOptions:
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"--{name} {value} is not possible: choose {low} to {high}")
+                option = name.replace("_", "-")
+                raise InputError(f"--{option} {value} is not possible: choose {low} to {high}")
 
 
 @dataclass(frozen=True)
@@ -233,16 +234,20 @@ def _write(
 def count_reasons(workspace: Workspace) -> dict[str, dict[str, int]]:
     """Pixels of each native image by what became of them: "valid" and the names of `Reason`.
 
-    A pixel with several reasons counts under each of them.
+    A pixel with several reasons counts under the first of them, so the counts add up to the image.
     """
     counts: dict[str, dict[str, int]] = {}
     for native, sub_image in workspace.sub_images():
         reason = read_map(workspace.reason_map(sub_image)).astype(np.uint8)
-        core = reason[sub_image.core.slices_in(sub_image.stored)]
-        count = counts.setdefault(native.name, {})
-        found = {"valid": core == 0} | {
-            one.name.lower(): (core & one) != 0 for one in Reason if one.name
-        }
-        for name, pixels in found.items():
-            count[name] = count.get(name, 0) + int(pixels.sum())
+        left = reason[sub_image.core.slices_in(sub_image.stored)]
+        count = counts.setdefault(native.name, {"valid": 0} | {_name(one): 0 for one in Reason})
+        count["valid"] += int((left == 0).sum())
+        for one in Reason:
+            hit = (left & one) != 0
+            count[_name(one)] += int(hit.sum())
+            left = left[~hit]
     return counts
+
+
+def _name(reason: Reason) -> str:
+    return str(reason.name).lower()

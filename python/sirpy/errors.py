@@ -15,7 +15,3 @@ class OutputError(SirpyError, OSError):
 
 class BudgetError(SirpyError, MemoryError):
     """No plan meets the memory budget."""
-
-
-class MissingDependencyError(SirpyError, ImportError):
-    """An optional package or program is not installed."""

@@ -44,8 +44,10 @@ class FusionOptions:
     def __post_init__(self) -> None:
         if not 1 <= self.min_consistent <= 16:
             raise InputError(
-                f"--min_consistent {self.min_consistent} is not possible: choose 1 to 16"
+                f"--min-consistent {self.min_consistent} is not possible: choose 1 to 16"
             )
+        if self.threads < 0:
+            raise InputError(f"--threads {self.threads} is not possible: choose 0 or more")
         if not self.consistency > 0:
             raise InputError(
                 f"--consistency {self.consistency} is not possible: choose more than 0"
@@ -65,8 +67,6 @@ def fuse(
     """
     options = options or FusionOptions()
     progress = progress or Progress()
-    what = {key: value for key, value in asdict(options).items() if key != "threads"}
-    workspace.begin_stage("fuse", fingerprint(workspace.fingerprint_of("stereo"), what))
     views = read_views(workspace)
     scene = read_native_scene(workspace)
     natives = {native.name: native for native in workspace.natives}
@@ -76,6 +76,8 @@ def fuse(
             raise InputError(
                 f"{workspace.depth_map(sub_image, 'geometric')} is missing: run `sirpy stereo` first"
             )
+    what = {key: value for key, value in asdict(options).items() if key != "threads"}
+    workspace.begin_stage("fuse", fingerprint(workspace.fingerprint_of("stereo"), what))
     with progress.stage("fuse", len(todo), "sub-image") as step:
         for native, sub_image in todo:
             part = workspace.fused_part(sub_image)

@@ -17,9 +17,11 @@ import numpy as np
 
 from sirpy import overview
 from sirpy.cloud_picture import draw_cloud, mean_view
+from sirpy.dense_stereo import count_reasons
 from sirpy.errors import InputError
 from sirpy.files import written_whole
 from sirpy.pictures import depth_colours, encoded_jpeg
+from sirpy.ply import read_vertices
 from sirpy.progress import duration
 from sirpy.workspace import NativeImage, Workspace
 
@@ -47,25 +49,26 @@ def report(workspace: Workspace) -> Path:
     """Writes the report of a workspace, and the picture of its cloud, and returns the report's
     path.
 
-    Reads run.json, the sub-images, the depth maps, the native model and the fused cloud; a part
-    that the run did not make is left out of the page.
+    Reads the sub-images, the maps, the native model, the cloud and run.json; a part that is not
+    there yet is left out of the page.
 
     Raises:
-        InputError: there is no run.json, or a file of the workspace is damaged.
+        InputError: it is no workspace, or a file of it is damaged.
         OutputError: the report cannot be written.
     """
+    reasons = _reasons(workspace)
     run = _read_run(workspace.run)
     workspace.begin_stage("report", workspace.fingerprint_of("fuse"))
     parts = [
-        _heading(run),
-        _numbers(workspace, run),
+        "<h1>Reconstruction report</h1>",
+        _numbers(workspace, run, reasons),
         _evaluation(run.get("evaluation")),
         _cloud(workspace),
-        _grid(workspace, str(run.get("grid", ""))),
+        _grid(workspace),
         _depths(workspace),
-        _coverage(run.get("reasons") or {}),
+        _coverage(reasons),
         _stages(run.get("stages") or [], run.get("memory")),
-        _left_out(run.get("left_out") or []),
+        _left_out(_all_left_out(workspace, run)),
     ]
     style = resources.files("sirpy").joinpath("report.css").read_text(encoding="utf-8")
     page = (
@@ -81,35 +84,42 @@ def report(workspace: Workspace) -> Path:
 
 
 def _read_run(path: Path) -> dict[str, Any]:
+    """What `reconstruct` noted; empty after single stages."""
     try:
         run: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except OSError:
-        raise InputError(
-            f"{path} is missing, so there is nothing to report: run `sirpy reconstruct` first"
-        ) from None
+    except FileNotFoundError:
+        return {}
     except ValueError as error:
         raise InputError(f"{path} is damaged ({error}): run the same command again") from None
     return run
 
 
+def _reasons(workspace: Workspace) -> dict[str, dict[str, int]]:
+    """What became of the pixels; empty before stereo is complete."""
+    complete = all(workspace.reason_map(sub).exists() for _, sub in workspace.sub_images())
+    return count_reasons(workspace) if complete else {}
+
+
+def _all_left_out(workspace: Workspace, run: dict[str, Any]) -> list[dict[str, str]]:
+    """Of structure from motion too, if the run began there."""
+    cut = [{"name": out.name, "reason": out.reason} for out in workspace.left_out]
+    return run.get("left_out") or cut
+
+
 # ---- sections
 
 
-def _heading(run: dict[str, Any]) -> str:
-    return f"<h1>Reconstruction report</h1>\n<code>{escape(str(run.get('command', '')))}</code>"
-
-
-def _numbers(workspace: Workspace, run: dict[str, Any]) -> str:
+def _numbers(workspace: Workspace, run: dict[str, Any], reasons: dict[str, dict[str, int]]) -> str:
     stages = run.get("stages") or []
     peaks = [stage["measured_peak"] for stage in stages if stage.get("measured_peak")]
     pixels = sum(native.width * native.height for native in workspace.natives)
-    left_out = len(run.get("left_out") or [])
-    reasons = (run.get("reasons") or {}).values()
-    valid = sum(counts.get("valid", 0) for counts in reasons)
-    total = sum(sum(counts.values()) for counts in reasons)
+    left_out = len(_all_left_out(workspace, run))
+    valid = sum(counts["valid"] for counts in reasons.values())
+    total = sum(sum(counts.values()) for counts in reasons.values())
+    points = len(read_vertices(workspace.fused)) if workspace.fused.exists() else 0
     budget = run.get("memory")
     numbers = [
-        (f"{run.get('points', 0):,}", "points"),
+        (f"{points:,}", "points"),
         (
             str(len(workspace.natives)),
             f"photographs, {left_out} left out" if left_out else "photographs",
@@ -152,6 +162,8 @@ def _evaluation(evaluation: dict[str, Any] | None) -> str:
 def _cloud(workspace: Workspace) -> str:
     if not workspace.fused.exists() or not workspace.native_model.exists():
         return ""
+    if len(read_vertices(workspace.fused)) == 0:
+        return "<h2>The point cloud</h2><p>It is empty; the coverage below says why.</p>"
     import pycolmap
 
     forward, up = mean_view(pycolmap.Reconstruction(str(workspace.native_model)))
@@ -165,10 +177,11 @@ def _cloud(workspace: Workspace) -> str:
     )
 
 
-def _grid(workspace: Workspace, grid: str) -> str:
+def _grid(workspace: Workspace) -> str:
     if not workspace.natives:
         return ""
     native = workspace.natives[0]
+    columns = max(sub.column for sub in native.sub_images) + 1
     factor = overview.decimation(native, _GRID_SIDE)
     image = overview.photograph(workspace, native, factor)
     stroke = native.width / 500
@@ -193,7 +206,7 @@ def _grid(workspace: Workspace, grid: str) -> str:
     return (
         "<h2>The grid</h2>"
         f"<p>{escape(native.name)}, {native.width} × {native.height} pixels, as "
-        f"{_plural(len(native.sub_images), 'sub-image')} ({escape(grid)}) of at most "
+        f"{_plural(len(native.sub_images), 'sub-image')} ({columns}x{len(native.sub_images) // columns}) of at most "
         f"{largest[0]} × {largest[1]} pixels.{decimated}</p>"
         '<div class="card">'
         f'<svg viewBox="0 0 {native.width} {native.height}" role="img" '

@@ -24,7 +24,7 @@ _SUBFOLDERS = (".", "sparse", "0", "sparse/0")  # where COLMAP's own tools put a
 _LARGEST_SIDE = 1 << 20  # pixels; beyond it the record is noise
 
 
-def read_model(path: Path) -> pycolmap.Reconstruction:
+def read_model(path: Path | str) -> pycolmap.Reconstruction:
     """Reads a COLMAP model: binary or text, three files (3.8) or five (4.x).
 
     `path` holds the model, or is the folder above it (with `sparse/`, `0/` or `sparse/0/`).
@@ -32,7 +32,7 @@ def read_model(path: Path) -> pycolmap.Reconstruction:
     Raises:
         InputError: there is no model, it is damaged, or has no images or no 3D points.
     """
-    folder = find_model(path)
+    folder = find_model(Path(path))
     if (folder / "cameras.bin").is_file():
         _check_binary(folder)
     # pycolmap repeats its exceptions on stderr, and some warnings: our sentence says it all.

@@ -22,6 +22,7 @@ from sirpy import _core
 from sirpy.errors import InputError
 
 _EXTENSIONS = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".jp2", ".bmp"})
+_CACHE = 64  # of GDAL's blocks, MB; its default is a share of the machine's memory
 _BAND_ROWS = 64
 _DECIMATED_JPEG_QUALITY = 97
 
@@ -53,8 +54,12 @@ def find_photographs(folder: Path) -> list[str]:
     for directory, folders, files in os.walk(folder, followlinks=True):
         # A link to a folder above would lead round and round.
         visited.add(os.path.realpath(directory))
+        # Nor are the sub-images of a workspace photographs.
         folders[:] = [
-            name for name in folders if os.path.realpath(Path(directory) / name) not in visited
+            name
+            for name in folders
+            if os.path.realpath(Path(directory) / name) not in visited
+            and not (Path(directory) / name / "stages.json").exists()
         ]
         names += [
             (Path(directory) / name).relative_to(folder).as_posix()
@@ -65,6 +70,15 @@ def find_photographs(folder: Path) -> list[str]:
         known = ", ".join(sorted(extension[1:] for extension in _EXTENSIONS))
         raise InputError(f"{folder} holds no photographs: put some there ({known})")
     return sorted(names)
+
+
+def check_folders(images: Path, output: Path) -> None:
+    """Raises InputError where the workspace would lie among the photographs' own files."""
+    if images.resolve() == output.resolve():
+        raise InputError(
+            f"the photographs and the output are in one folder, {images}: choose another folder with "
+            "--output"
+        )
 
 
 def check_names(names: Iterable[str]) -> None:
@@ -201,7 +215,7 @@ def _raster(path: Path) -> Iterator[Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as raster:
+            with rasterio.Env(GDAL_CACHEMAX=_CACHE), rasterio.open(path) as raster:
                 yield raster
     except RasterioError as error:
         reason = str(error.__cause__ or error).replace(f"{path}: ", "")

@@ -10,19 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from sirpy.cutting import cut
-from sirpy.dense_stereo import StereoOptions, count_reasons, stereo
+from sirpy.dense_stereo import StereoOptions, stereo
 from sirpy.files import write_json
 from sirpy.fusion import FusionOptions, fuse
 from sirpy.html_report import report
 from sirpy.native_scene import native_scene
-from sirpy.photographs import find_photographs
+from sirpy.photographs import check_folders, find_photographs
 from sirpy.planning import Plan, plan
-from sirpy.progress import Progress
+from sirpy.progress import LoggedProgress, Progress
 from sirpy.rectangle import Grid
 from sirpy.resources import Meter
 from sirpy.sparse_model import model_identity, predicted_sparse_peak, read_model, sparse
 from sirpy.sub_image_model import undistorted_model
-from sirpy.view_selection import views
+from sirpy.view_selection import check_num_sources, views
 from sirpy.workspace import LeftOut, Workspace, check_writable
 
 DEFAULT_MEMORY = 8_000_000_000  # bytes
@@ -40,10 +40,10 @@ class Reconstruction:
 
 
 def reconstruct(
-    images: Path,
-    output: Path,
+    images: Path | str,
+    output: Path | str,
     *,
-    model: Path | None = None,
+    model: Path | str | None = None,
     memory: int = DEFAULT_MEMORY,
     grid: Grid | None = None,
     num_sources: int = 8,
@@ -68,11 +68,18 @@ def reconstruct(
     Raises:
         SirpyError: the user's data or options are at fault; the message says how to mend it.
     """
-    progress = progress or Progress()
-    log = _RunLog(memory)
+    images, output = Path(images), Path(output)
+    model = None if model is None else Path(model)
+    # All that can be refused is refused before anything is written.
+    stereo_options = stereo_options or StereoOptions(threads=threads)
+    fusion_options = fusion_options or FusionOptions(threads=threads)
+    check_num_sources(num_sources)
     names = find_photographs(images)
+    check_folders(images, output)
     check_writable(output)
     workspace = Workspace(output)
+    progress = LoggedProgress(progress or Progress(), workspace.log)
+    log = _RunLog(memory)
     left_out: list[LeftOut] = []
     if model is None:
         threads_used = threads or os.cpu_count() or 1
@@ -101,15 +108,11 @@ def reconstruct(
     with log.stage(workspace, "views", count, "sub-image"):
         views(workspace, num_sources=num_sources, progress=progress)
     with log.stage(workspace, "stereo", count, "sub-image"):
-        stereo(
-            workspace, options=stereo_options or StereoOptions(threads=threads), progress=progress
-        )
+        stereo(workspace, options=stereo_options, progress=progress)
     with log.stage(workspace, "fuse", count, "sub-image"):
-        points = fuse(
-            workspace, options=fusion_options or FusionOptions(threads=threads), progress=progress
-        )
+        points = fuse(workspace, options=fusion_options, progress=progress)
     left_out = sorted([*left_out, *workspace.left_out], key=lambda out: out.name)
-    log.write(workspace, chosen, points, left_out)
+    log.write(workspace, left_out)
     report(workspace)
     return Reconstruction(workspace, chosen, points, left_out, log.peak)
 
@@ -145,21 +148,16 @@ class _RunLog:
         known = [s["measured_peak"] for s in self.stages if s["measured_peak"] is not None]
         return max(known) if known else None
 
-    def write(
-        self, workspace: Workspace, chosen: Plan, points: int, left_out: list[LeftOut]
-    ) -> None:
+    def write(self, workspace: Workspace, left_out: list[LeftOut]) -> None:
         write_json(
             workspace.run,
             {
                 "version": 1,
                 "memory": self.memory,
-                "grid": str(chosen.grid),
                 "stages": [
                     {**stage, "predicted_peak": self.predicted.get(stage["name"])}
                     for stage in self.stages
                 ],
                 "left_out": [{"name": out.name, "reason": out.reason} for out in left_out],
-                "points": points,
-                "reasons": count_reasons(workspace),
             },
         )

@@ -7,21 +7,23 @@ sub-images waste less on halos.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from sirpy import _core
-from sirpy.errors import BudgetError, InputError
+from sirpy.errors import BudgetError
+from sirpy.memory import gigabytes
 from sirpy.native_scene import NativeScene
 from sirpy.rectangle import Grid
 from sirpy.view_selection import SubImageViews, sub_image_views
 from sirpy.workspace import NativeImage, SubImage
 
-# Python with numpy, pycolmap and rasterio loaded, and the sparse scene.
-PROCESS_BYTES = 150_000_000
+# Python with numpy, pycolmap and rasterio loaded.
+_PROCESS_BYTES = 130_000_000
+# Sparse models of an observation: as solved, undistorted, of the sub-images, and as arrays.
+_BYTES_PER_OBSERVATION = 400
 # The allocator and the kernel keep a little more than what is asked for.
-_SLACK = 1.05
+_SLACK = 1.1
 # Bands of rows of the photograph, of the undistorted image and of the files that are open: bytes for each pixel
 # of width. The height does not matter.
 _CUT_BYTES_PER_COLUMN = 6000
@@ -42,22 +44,6 @@ class Plan:
     @property
     def peak(self) -> int:
         return max(self.predicted_peak.values())
-
-
-def parse_memory(text: str) -> int:
-    """Bytes of "8GB", "512MB", "1.5 GB" (powers of ten), "8GiB" (powers of two) or "8000000000".
-
-    Raises:
-        InputError: it is none of these.
-    """
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKmMgGtT]?)(i?)[bB]?\s*", text)
-    if not match:
-        raise InputError(
-            f'--memory "{text}" is not an amount of memory: write it like 8GB or 500MB'
-        )
-    number, prefix, binary = match.groups()
-    power = " kmgt".index(prefix.lower() or " ")
-    return int(float(number) * (1024 if binary else 1000) ** power)
 
 
 def plan(
@@ -84,7 +70,7 @@ def plan(
     subject = f"a grid of {grid} sub-images needs" if grid else "the least that would do is"
     raise BudgetError(
         f"no plan fits into --memory {gigabytes(memory or 0)}: {subject} {gigabytes(least.peak)}, "
-        "or fewer --num_sources"
+        "or fewer --num-sources"
     )
 
 
@@ -104,11 +90,6 @@ def grid_for_memory(sizes: list[tuple[int, int]], memory: int) -> Grid:
         f"--memory {gigabytes(memory)} is too little for any sub-image: the least that would do is "
         f"{gigabytes(least)}"
     )
-
-
-def gigabytes(size: float) -> str:
-    """ "1.5 GB", rounded up so that what is printed is enough."""
-    return f"{-(-size // 10_000_000) / 100:.2f} GB"
 
 
 def _candidates(scene: NativeScene) -> Iterator[Grid]:
@@ -139,10 +120,11 @@ def _predict(scene: NativeScene, grid: Grid, num_sources: int, halo: int) -> dic
             views = sub_image_views(scene, native, sub_image, num_sources=num_sources, halo=halo)
             stereo = max(stereo, _stereo_bytes(views))
             fuse = max(fuse, _fuse_bytes(core.area, views))
+    observations = sum(len(seen.point) for seen in scene.observations.values())
+    process = _PROCESS_BYTES + _BYTES_PER_OBSERVATION * observations
     return {
-        "cut": int(PROCESS_BYTES + _SLACK * cut),
-        "stereo": int(PROCESS_BYTES + _SLACK * stereo),
-        "fuse": int(PROCESS_BYTES + _SLACK * fuse),
+        stage: int(process + _SLACK * peak)
+        for stage, peak in (("cut", cut), ("stereo", stereo), ("fuse", fuse))
     }
 
 
@@ -161,5 +143,5 @@ def _stereo_bytes(views: SubImageViews) -> int:
 
 
 def _fuse_bytes(area: int, views: SubImageViews) -> int:
-    """Depth and its inverse 8, normal 12, colour 3; a point 45 in the core's arrays, 30 as it is written."""
-    return 98 * area + 8 * sum(source.window.area for source in views.sources)
+    """Depth and its inverse 8, normal 12, colour 3; a point 56 by rows and 45 in arrays."""
+    return 124 * area + 8 * sum(source.window.area for source in views.sources)

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
@@ -141,6 +142,31 @@ class TerminalProgress(Progress):
 
     def note(self, text: str) -> None:
         self._console.print(text, highlight=False, markup=False)
+
+
+class LoggedProgress(Progress):
+    """Shows what another display shows, and keeps it in a log file with the time of day."""
+
+    def __init__(self, shown: Progress, path: Path) -> None:
+        self._shown = shown
+        self._path = path
+
+    @contextmanager
+    def stage(self, name: str, total: int, unit: str) -> Iterator[Steps]:
+        begin = time.monotonic()
+        self._log(f"{name}: {_count(total, unit)}")
+        with self._shown.stage(name, total, unit) as steps:
+            yield steps
+        self._log(f"{name}: done in {duration(time.monotonic() - begin)}")
+
+    def note(self, text: str) -> None:
+        self._log(text)
+        self._shown.note(text)
+
+    def _log(self, text: str) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
 def duration(seconds: float) -> str:

@@ -39,6 +39,10 @@ class Rectangle:
     def area(self) -> int:
         return self.width * self.height
 
+    def as_list(self) -> list[int]:
+        """[x0, y0, width, height], as it stands in files."""
+        return [self.x0, self.y0, self.width, self.height]
+
     def padded(self, margin: int) -> Rectangle:
         """This rectangle with `margin` more pixels on each side."""
         return Rectangle(

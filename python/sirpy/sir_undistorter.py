@@ -79,6 +79,11 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
             f"({', '.join(without_points[:3])}"
             f"{' ...' if len(without_points) > 3 else ''})"
         )
+    if workspace.left_out:
+        raise InputError(
+            f"{workspace.folder} is made without {len(workspace.left_out)} of the photographs "
+            f"({'; '.join(f'{out.name}: {out.reason}' for out in workspace.left_out[:3])})"
+        )
 
 
 def _listed_names(path: Path | None) -> list[str] | None:
@@ -128,7 +133,8 @@ def _grid(options: Options, model: pycolmap.Reconstruction, undistort: Undistort
     images = [model.image(image_id) for image_id in sorted(model.reg_image_ids())]
     sizes = [(cameras[i.camera_id].width, cameras[i.camera_id].height) for i in images]
     if options.memory is not None:
-        from sirpy.planning import grid_for_memory, parse_memory
+        from sirpy.memory import parse_memory
+        from sirpy.planning import grid_for_memory
 
         return grid_for_memory(sizes, parse_memory(options.memory))
     assert options.max_sub_image_size is not None

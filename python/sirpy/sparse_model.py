@@ -22,11 +22,12 @@ from typing import IO, Any
 
 from sirpy.errors import BudgetError, InputError
 from sirpy.files import file_identity, fingerprint, write_json
+from sirpy.memory import gigabytes
 from sirpy.model_files import model_identity, read_model
-from sirpy.photographs import decimate, find_photographs, photograph_size
+from sirpy.photographs import check_folders, decimate, find_photographs, photograph_size
 from sirpy.progress import Progress, Steps
 from sirpy.structure_from_motion import DecimatedPhotograph, Task, first_octave
-from sirpy.workspace import LeftOut, Workspace
+from sirpy.workspace import LeftOut, Workspace, check_writable
 
 __all__ = [
     "SparseResult",
@@ -98,8 +99,8 @@ def predicted_sparse_peak(
 
 
 def sparse(
-    images: Path,
-    output: Path,
+    images: Path | str,
+    output: Path | str,
     *,
     max_size: int = 2304,
     camera_model: str = DEFAULT_CAMERA_MODEL,
@@ -124,17 +125,22 @@ def sparse(
         BudgetError: not even one thread fits in `memory`.
         OutputError: the workspace cannot be written.
     """
+    images, output = Path(images), Path(output)
     progress = progress or Progress()
+    if threads < 0:
+        raise InputError(f"--threads {threads} is not possible: choose 0 or more")
     threads = threads or os.cpu_count() or 1
     workspace = Workspace(output)
-    names = find_photographs(images)
+    # All that can be refused is refused before anything is written or removed.
+    check_folders(images, output)
+    check_writable(output)
+    sizes, left_out = _native_sizes(images, find_photographs(images), progress)
+    extractors = _extractors(list(sizes.values()), threads, memory, max_size)
     inputs = fingerprint(
-        [(name, *file_identity(images / name)) for name in names], max_size, camera_model
+        [(name, *file_identity(images / name)) for name in sizes], max_size, camera_model
     )
     if workspace.begin_stage("sparse", inputs) and workspace.sfm_left_out.is_file():
         return SparseResult(workspace.sfm_model, _read_left_out(workspace))
-    sizes, left_out = _native_sizes(images, names, progress)
-    extractors = _extractors(list(sizes.values()), threads, memory, max_size)
     photographs = _decimated(images, sizes, workspace, max_size, left_out, progress)
     if len(photographs) < 2:
         raise InputError(
@@ -226,7 +232,7 @@ def _extractors(
     least = predicted_peak(width, height, count, 1, max_size=max_size)
     raise BudgetError(
         f"structure from motion on {count} photographs of {width}x{height} pixels needs "
-        f"{least / 1e9:.1f} GB, more than --memory allows ({memory / 1e9:.1f} GB): allow more, or "
+        f"{gigabytes(least)}, more than --memory allows ({gigabytes(memory)}): allow more, or "
         "give a sparse model with --model"
     )
 

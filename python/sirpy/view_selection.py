@@ -79,10 +79,10 @@ def views(
     Raises:
         InputError: an option out of range, or no sub-image has a source.
     """
-    if not 1 <= num_sources <= 16:
-        raise InputError(f"--num_sources {num_sources} is not possible: choose 1 to 16")
+    check_num_sources(num_sources)
     if halo < 0:
         raise InputError(f"--halo {halo} is not possible: choose 0 or more pixels")
+    natives = workspace.natives  # before anything is written: is this a workspace?
     begun = workspace.begin_stage(
         "views", fingerprint(workspace.fingerprint_of("cut"), num_sources, halo)
     )
@@ -91,7 +91,7 @@ def views(
     scene = read_native_scene(workspace)
     found: dict[str, SubImageViews] = {}
     with (progress or Progress()).stage(
-        "views", len(list(workspace.sub_images())), "sub-image"
+        "views", sum(len(native.sub_images) for native in natives), "sub-image"
     ) as step:
         for native, sub_image in workspace.sub_images():
             found[sub_image.name] = sub_image_views(
@@ -107,6 +107,12 @@ def views(
     _write_colmap_lists(workspace, result)
     _write_views(workspace.views, result)
     return result
+
+
+def check_num_sources(num_sources: int) -> None:
+    """Raises InputError unless stereo can match against so many sources."""
+    if not 1 <= num_sources <= 16:
+        raise InputError(f"--num-sources {num_sources} is not possible: choose 1 to 16")
 
 
 def read_views(workspace: Workspace) -> Views:
@@ -197,7 +203,7 @@ def _observations_around(scene: NativeScene, native: NativeImage, sub_image: Sub
     """Indices of the observations in a region around the sub-image that grows until it holds enough."""
     seen = scene.observations[native.name]
     core = sub_image.core
-    margin = max(core.width, core.height) // 8
+    margin = max(1, max(core.width, core.height) // 8)
     while True:
         region = core.padded(margin)
         x, y = seen.pixel[:, 0], seen.pixel[:, 1]
@@ -274,15 +280,12 @@ def _write_colmap_lists(workspace: Workspace, found: Views) -> None:
         if best:
             lines += [one.name, ", ".join(name for _, _, name in best[:_SOURCE_SUB_IMAGES])]
     listed = [one.name for one in found.sub_images.values() if one.sources]
-    for name, text in (("patch-match.cfg", lines), ("fusion.cfg", listed)):
-        with written_whole(workspace.stereo / name) as path:
-            path.write_text("\n".join(text) + "\n", encoding="utf-8")
+    for path, text in ((workspace.patch_match_config, lines), (workspace.fusion_config, listed)):
+        with written_whole(path) as temporary:
+            temporary.write_text("\n".join(text) + "\n", encoding="utf-8")
 
 
 def _write_views(path: Path, found: Views) -> None:
-    def corners(rectangle: Rectangle) -> list[int]:
-        return [rectangle.x0, rectangle.y0, rectangle.width, rectangle.height]
-
     write_json(
         path,
         {
@@ -291,11 +294,11 @@ def _write_views(path: Path, found: Views) -> None:
             "sub_images": [
                 {
                     "name": one.name,
-                    "window": corners(one.window),
+                    "window": one.window.as_list(),
                     "min_depth": one.min_depth,
                     "max_depth": one.max_depth,
                     "sources": [
-                        {"name": source.name, "window": corners(source.window)}
+                        {"name": source.name, "window": source.window.as_list()}
                         for source in one.sources
                     ],
                 }

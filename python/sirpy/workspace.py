@@ -23,6 +23,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from sirpy import __version__
 from sirpy.errors import InputError, OutputError
 from sirpy.files import write_json
 from sirpy.rectangle import Rectangle
@@ -39,7 +40,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/normal_maps",
         "stereo/reason_maps",
     ),
-    "fuse": ("fusion", "fused.ply"),
+    "fuse": ("fusion", "fused.ply", "run.json"),
     "report": ("report.html", "cloud.png"),
 }
 
@@ -191,6 +192,10 @@ class Workspace:
         return self.folder / "cloud.png"
 
     @property
+    def log(self) -> Path:
+        return self.folder / "log.txt"
+
+    @property
     def run(self) -> Path:
         return self.folder / "run.json"
 
@@ -212,8 +217,8 @@ class Workspace:
                                 "name": sub.name,
                                 "row": sub.row,
                                 "column": sub.column,
-                                "core": _corners(sub.core),
-                                "stored": _corners(sub.stored),
+                                "core": sub.core.as_list(),
+                                "stored": sub.stored.as_list(),
                             }
                             for sub in native.sub_images
                         ],
@@ -278,7 +283,10 @@ class Workspace:
         Raises:
             OutputError: the folder holds something under the name of an output that no stage made.
         """
+        fingerprint = f"{__version__} {fingerprint}"
         path = self.folder / "stages.json"
+        for output in _STAGE_OUTPUTS[stage]:
+            _remove_unfinished(self.folder / output)
         try:
             known: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
         except (FileNotFoundError, ValueError):
@@ -335,8 +343,11 @@ def check_writable(folder: Path) -> None:
         ) from error
 
 
-def _corners(rectangle: Rectangle) -> list[int]:
-    return [rectangle.x0, rectangle.y0, rectangle.width, rectangle.height]
+def _remove_unfinished(path: Path) -> None:
+    """Temporary files of `files.written_whole` that a killed run left behind."""
+    pattern = ".*.tmp*"
+    for unfinished in [*path.parent.glob(f".{path.stem}{pattern}"), *path.rglob(pattern)]:
+        _remove(unfinished)
 
 
 def _remove(path: Path) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 import pycolmap
 import pytest
-
 from sirpy.cutting import cut
 from sirpy.errors import InputError
 from sirpy.fusion import FusionOptions, fuse

@@ -10,7 +10,7 @@ import sirpy
 PACKAGE = Path(sirpy.__file__).parent
 # Each line may import from the lines above it, and from modules to its left.
 LAYERS = """
-    errors files rectangle resources
+    errors files memory rectangle resources
     workspace progress
     _core
     photographs exif ply pictures

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import plane_scene
 from sirpy.errors import BudgetError, InputError
-from sirpy.planning import grid_for_memory, parse_memory, plan
+from sirpy.memory import parse_memory
+from sirpy.planning import grid_for_memory, plan
 from sirpy.rectangle import Grid
 
 

@@ -33,16 +33,17 @@ PlaneArrays::PlaneArrays(const Level& level)
       views(rho.size(), 0) {}
 
 RandomPlanes::RandomPlanes(const Level& level, const std::vector<SparsePoint>& points)
-    : level_(level), cells_across_((level.width + kCell - 1) / kCell) {
+    : level_(level), first_column_(level.x0 / kCell), first_row_(level.y0 / kCell) {
   if (points.empty()) return;
-  const int cells_down = (level.height + kCell - 1) / kCell;
+  cells_across_ = (level.x0 + level.width - 1) / kCell - first_column_ + 1;
+  const int cells_down = (level.y0 + level.height - 1) / kCell - first_row_ + 1;
   nearest_rho_.resize(size_t(cells_across_) * cells_down);
   const double scale = 1.0 / (1 << level.level);
 #pragma omp parallel for schedule(dynamic)
   for (int row = 0; row < cells_down; ++row) {
     for (int column = 0; column < cells_across_; ++column) {
-      const double x = level.x0 + (column + 0.5) * kCell - 0.5;
-      const double y = level.y0 + (row + 0.5) * kCell - 0.5;
+      const double x = (first_column_ + column + 0.5) * kCell - 0.5;
+      const double y = (first_row_ + row + 0.5) * kCell - 0.5;
       double least = std::numeric_limits<double>::infinity();
       for (const SparsePoint& point : points) {
         const double dx = point.x * scale - 0.5 - x, dy = point.y * scale - 0.5 - y;
@@ -56,6 +57,12 @@ RandomPlanes::RandomPlanes(const Level& level, const std::vector<SparsePoint>& p
   }
 }
 
+size_t RandomPlanes::CellOf(int x, int y) const {
+  const int row = (level_.y0 + y) / kCell - first_row_;
+  const int column = (level_.x0 + x) / kCell - first_column_;
+  return size_t(row) * cells_across_ + column;
+}
+
 void RandomPlanes::FillRow(int y, int candidate, const Planes& row) const {
   const float low = level_.min_inverse_depth, high = level_.max_inverse_depth;
   const bool seeded = candidate < 2 && !nearest_rho_.empty();
@@ -66,7 +73,7 @@ void RandomPlanes::FillRow(int y, int candidate, const Planes& row) const {
     };
     float rho = low + draw(0) * (high - low);
     if (seeded) {
-      const float near = nearest_rho_[size_t(y / kCell) * cells_across_ + x / kCell];
+      const float near = nearest_rho_[CellOf(x, y)];
       rho = std::clamp(near + (draw(0) - 0.5f) * (high - low) / 8, low, high);
     }
     const double px = level_.x0 + x, py = level_.y0 + y;

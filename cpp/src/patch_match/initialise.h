@@ -19,7 +19,7 @@ struct PlaneArrays {
 
   PlaneArrays() = default;
   // All planes in the middle of the range, worse than anything.
-  PlaneArrays(const Level& level);
+  explicit PlaneArrays(const Level& level);
   Planes View() { return {rho.data(), gx.data(), gy.data(), cost.data(), views.data()}; }
 };
 
@@ -43,6 +43,10 @@ class RandomPlanes : public PlaneSource {
  private:
   static constexpr int kCell = 4;  // pixels of the level that share their nearest point
   const Level& level_;
+  size_t CellOf(int x, int y) const;  // of a pixel of the window
+
+  int first_column_ = 0;  // cells are counted from the native image's corner
+  int first_row_ = 0;
   int cells_across_ = 0;
   std::vector<float> nearest_rho_;  // per cell; empty without points
 };

@@ -37,7 +37,8 @@ SIRPY_INLINE Floats WithPrior(const Level& level, const KernelOptions& options, 
   }
   const Floats variance = group.spread / group.weight_sum;
   const Floats trust = Exp(variance * (-1.f / options.prior_variance));
-  const Floats deviation = Min(Abs(plane.rho - prior) * shift * (1.f / 3.f), Splat(1));
+  const Floats deviation =
+      Select(shift > 0.f, Min(Abs(plane.rho - prior) * shift * (1.f / 3.f), Splat(1)), Splat(1));
   return Select(prior > 0.f, cost + trust * (deviation - cost), cost);
 }
 
@@ -59,7 +60,7 @@ struct Cost {
 SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, const Group& group,
                               const ViewWeights& views, const Plane& plane,
                               const Floats* known = nullptr) {
-  Floats photometric{}, geometric{}, shift{}, weights{};
+  Floats photometric{}, geometric{}, shift{}, weights{}, seen{};
   for (int j = 0; j < level.num_sources; ++j) {
     if (!views.any[j]) continue;
     const Warp warp = WarpPatch(level, group, j, plane);
@@ -70,12 +71,13 @@ SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, 
       geometric += views.weight[j] * Select(error < 0.f, most, Min(error, most));
     }
     shift += views.weight[j] * Select(warp.inside, warp.shift, Floats{});
+    seen += Select(warp.inside, views.weight[j], Floats{});
     weights += views.weight[j];
   }
   const Ints compared = weights > 0.f;
   const Floats scale = 1.f / Select(compared, weights, Splat(1));
   Cost cost;
-  cost.shift = shift * scale;
+  cost.shift = shift / Select(seen > 0.f, seen, Splat(1));  // 0 where no source sees the patch
   const Floats ncc = Select(compared, photometric * scale, Splat(kWorstCost));
   cost.value = WithPrior(level, options, group, plane, ncc, cost.shift) +
                options.geometric_weight * geometric * scale;
@@ -164,7 +166,7 @@ void EvaluateRow(const Level& level, const KernelOptions& options, const Planes&
         present[lane] = planes->cost[int64_t(y) * level.width + group.column[lane]];
       }
       Cost best_cost{present, Floats{}};
-      const Ints better = cost.value < best_cost.value;
+      const Ints better = (cost.value < kRejected) & (cost.value < best_cost.value);
       Keep(better, plane, cost, &best, &best_cost);
       const ViewWeights before = StoredViews(level, *planes, group);
       for (int j = 0; j < level.num_sources; ++j) {
@@ -179,7 +181,7 @@ void EvaluateRow(const Level& level, const KernelOptions& options, const Planes&
 SIRPY_INLINE void Refine(const Level& level, const KernelOptions& options, const Planes& planes,
                          const Group& group, const ViewWeights& views, int iteration, Plane* best,
                          Cost* best_cost) {
-  const float largest = (level.coarsest ? 8.f : 2.f) / float(1 << iteration);
+  const float largest = (level.coarsest ? 8.f : 2.f) / float(1 << (iteration < 4 ? iteration : 4));
   const auto attempt = [&](const Plane& plane) {
     const Cost cost = PlaneCost(level, options, group, views, plane);
     Keep(cost.value < best_cost->value, plane, cost, best, best_cost);

@@ -9,7 +9,7 @@
 #include <cstdint>
 #include <cstring>
 
-#ifdef __AVX512F__
+#if defined(__AVX512F__) && SIRPY_LANES == 16
 #include <immintrin.h>
 #endif
 
@@ -50,7 +50,7 @@ SIRPY_INLINE Floats Sqrt(Floats a) {
 
 // table[index] in each lane.
 SIRPY_INLINE Ints Gather(const uint32_t* table, Ints index) {
-#if defined(__AVX512F__)
+#if defined(__AVX512F__) && SIRPY_LANES == 16
   return (Ints)_mm512_i32gather_epi32((__m512i)index, table, 4);
 #else
   // Plain loads: as fast as a hardware gather on many processors, and they need none.

@@ -47,7 +47,6 @@ struct Level {
   int level = 0;                 // 0 is native resolution
   bool coarsest = false;         // nothing is known yet but the range and the seeds
   int offers = 8;                // planes of neighbours that are tried, of 8
-  int stride() const { return width + 2 * kPatchRadius; }
 };
 
 // One value per pixel of the window, row-major; 18 bytes per pixel.

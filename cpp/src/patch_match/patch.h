@@ -44,7 +44,7 @@ SIRPY_FUNCTION Group LoadGroup(const Level& level, const KernelOptions& options,
   }
   group.native_y = Splat(float(level.y0 + y));
 
-  const int stride = level.stride();
+  const int stride = level.width + 2 * kPatchRadius;
   const uint8_t* rows = level.grey + int64_t(y) * stride;
   Floats value[kSamples];
   for (int i = 0; i < kSamples; ++i) {

@@ -33,8 +33,7 @@ std::vector<GreyImage> Pyramid(const uint8_t* grey, int width, int height, int l
   return pyramid;
 }
 
-std::vector<uint32_t> PackQuads(const uint8_t* grey, int width, int height) {
-  std::vector<uint32_t> quads(size_t(width) * height);
+void PackQuads(const uint8_t* grey, int width, int height, uint32_t* quads) {
   for (int y = 0; y < height; ++y) {
     const uint8_t* upper = grey + int64_t(y) * width;
     const uint8_t* lower = y + 1 < height ? upper + width : upper;
@@ -44,7 +43,6 @@ std::vector<uint32_t> PackQuads(const uint8_t* grey, int width, int height) {
                                      uint32_t(lower[x]) << 16 | uint32_t(lower[right]) << 24;
     }
   }
-  return quads;
 }
 
 std::vector<uint8_t> Padded(const uint8_t* grey, int width, int height, int margin) {

@@ -19,7 +19,7 @@ std::vector<GreyImage> Pyramid(const uint8_t* grey, int width, int height, int l
 
 // Each pixel with its right, lower and lower-right neighbours in one word, clamped at the border:
 // one load gives what bilinear interpolation needs. 4 bytes per pixel.
-std::vector<uint32_t> PackQuads(const uint8_t* grey, int width, int height);
+void PackQuads(const uint8_t* grey, int width, int height, uint32_t* quads);
 
 // The image with `margin` more pixels on each side, which repeat its border.
 std::vector<uint8_t> Padded(const uint8_t* grey, int width, int height, int margin);

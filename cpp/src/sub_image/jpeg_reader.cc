@@ -12,17 +12,14 @@ namespace sirpy {
 
 struct JpegReader::Decoder {
   explicit Decoder(const std::filesystem::path& path)
-      : name(path.string()), file(std::fopen(path.c_str(), "rb")) {
+      : name(path.string()), file(std::fopen(path.c_str(), "rb"), &std::fclose) {
     if (file == nullptr) {
       throw InputError("cannot open photograph " + name + ": " + std::strerror(errno));
     }
     info.err = errors.Install();
-    jpeg_create_decompress(&info);
+    Guard([this] { jpeg_create_decompress(&info); });
   }
-  ~Decoder() {
-    jpeg_destroy_decompress(&info);
-    std::fclose(file);
-  }
+  ~Decoder() { jpeg_destroy_decompress(&info); }
 
   template <typename Call>
   void Guard(Call call) {
@@ -33,7 +30,7 @@ struct JpegReader::Decoder {
   }
 
   std::string name;
-  std::FILE* file;
+  std::unique_ptr<std::FILE, int (*)(std::FILE*)> file;
   JpegErrors errors;
   jpeg_decompress_struct info = {};
   bool started = false;
@@ -42,7 +39,7 @@ struct JpegReader::Decoder {
 JpegReader::JpegReader(const std::filesystem::path& path)
     : decoder_(std::make_unique<Decoder>(path)) {
   jpeg_decompress_struct* info = &decoder_->info;
-  decoder_->Guard([info, file = decoder_->file] {
+  decoder_->Guard([info, file = decoder_->file.get()] {
     jpeg_stdio_src(info, file);
     jpeg_read_header(info, TRUE);
   });

@@ -8,7 +8,7 @@ namespace sirpy {
 struct JpegWriter::Encoder {
   explicit Encoder(const std::filesystem::path& path) : file(path) {
     info.err = errors.Install();
-    jpeg_create_compress(&info);
+    Guard([this] { jpeg_create_compress(&info); });
   }
   ~Encoder() { jpeg_destroy_compress(&info); }
 

@@ -31,7 +31,7 @@ int64_t Stencil(double position, int64_t nodes) {
 
 // Nodes farther off than this (in pixels) are drawn in, so that sub-pixels never overflow 32 bits:
 // a cubic through four bounded nodes stays within twice the bound.
-constexpr double kFarthest = 120000;
+constexpr double kFarthest = LensMap::kLargestSide;
 
 // Without floor(), so that the compiler vectorises it: the bias makes the conversion round
 // downwards.

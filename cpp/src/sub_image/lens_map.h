@@ -17,6 +17,8 @@ class LensMap {
   // Row positions are whole numbers of 1 / kSubPixels pixel.
   static constexpr int kSubPixelBits = 11;
   static constexpr int32_t kSubPixels = 1 << kSubPixelBits;
+  static constexpr int kLargestSide =
+      120000;  // pixels of a photograph: sub-pixels fit into 32 bits
 
   // nodes: node_rows x node_columns x (x, y), row-major, finite, at least 4 x 4. width, height: of
   // the undistorted image. Throws std::invalid_argument.

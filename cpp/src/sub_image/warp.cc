@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <string>
 #include <utility>
 
 #include "error.h"
@@ -16,6 +17,12 @@ constexpr int64_t kBandRows = 64;
 Warp::Warp(std::shared_ptr<const LensMap> lens, const ImageShape& source,
            std::unique_ptr<RowSink> next)
     : lens_(std::move(lens)), source_(source), next_(std::move(next)) {
+  if (std::max(source_.width, source_.height) > LensMap::kLargestSide) {
+    throw InputError("a photograph of " + std::to_string(source_.width) + "x" +
+                     std::to_string(source_.height) +
+                     " pixels is larger than can be undistorted (" +
+                     std::to_string(LensMap::kLargestSide) + "): cut it first");
+  }
   const int64_t pixels = kBandRows * lens_->width();
   band_x_.resize(pixels);
   band_y_.resize(pixels);
@@ -34,6 +41,10 @@ void Warp::Push(const uint8_t* rows, int64_t count) {
 void Warp::Finish() { next_->Finish(); }
 
 void Warp::Keep(const uint8_t* rows, int64_t count) {
+  if (band_rows_ == 0) {  // all bands are done; no later row is needed
+    received_ += count;
+    return;
+  }
   const int64_t bytes = source_.RowBytes();
   if (received_ + count - first_kept_ > capacity_) {
     int64_t capacity = std::max<int64_t>(capacity_, kBandRows);

@@ -118,7 +118,8 @@ void Surface::FillCells() {
 
 Eigen::Vector2i Surface::CellOf(double x, double y) const {
   const auto index = [this](double offset, int cells) {
-    return static_cast<int>(std::clamp(std::floor(offset / cell_size_), 0.0, cells - 1.0));
+    // In this order: max(0, NaN) is 0.
+    return static_cast<int>(std::min(std::max(0.0, std::floor(offset / cell_size_)), cells - 1.0));
   };
   return {index(x - minimum_.x(), columns_), index(y - minimum_.y(), rows_)};
 }

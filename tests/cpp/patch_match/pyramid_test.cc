@@ -17,8 +17,10 @@ TEST(Pyramid, AveragesBlocksAndWhatIsLeftAtAnOddBorder) {
 
 TEST(PackQuads, HoldsTheFourNeighbours) {
   const std::vector<uint8_t> grey = {1, 2, 3, 4};
-  EXPECT_EQ(PackQuads(grey.data(), 2, 2)[0], 0x04030201u);
-  EXPECT_EQ(PackQuads(grey.data(), 2, 2)[3], 0x04040404u);
+  std::vector<uint32_t> quads(4);
+  PackQuads(grey.data(), 2, 2, quads.data());
+  EXPECT_EQ(quads[0], 0x04030201u);
+  EXPECT_EQ(quads[3], 0x04040404u);
 }
 
 }  // namespace

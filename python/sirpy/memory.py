@@ -1,0 +1,28 @@
+"""Amounts of memory as users write and read them; powers of ten, as on the box."""
+
+from __future__ import annotations
+
+import re
+
+from sirpy.errors import InputError
+
+
+def parse_memory(text: str) -> int:
+    """Bytes of "8GB", "512MB", "1.5 GB" (powers of ten), "8GiB" (powers of two) or "8000000000".
+
+    Raises:
+        InputError: it is none of these.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKmMgGtT]?)(i?)[bB]?\s*", text)
+    if not match:
+        raise InputError(
+            f'--memory "{text}" is not an amount of memory: write it like 8GB or 500MB'
+        )
+    number, prefix, binary = match.groups()
+    power = " kmgt".index(prefix.lower() or " ")
+    return int(float(number) * (1024 if binary else 1000) ** power)
+
+
+def gigabytes(size: float) -> str:
+    """ "1.5 GB", rounded up so that what is printed is enough."""
+    return f"{-(-size // 10_000_000) / 100:.2f} GB"
