@@ -145,11 +145,15 @@ class TerminalProgress(Progress):
 
 
 class LoggedProgress(Progress):
-    """Shows what another display shows, and keeps it in a log file with the time of day."""
+    """Shows what another display shows, and keeps it in a log file with the time of day.
+
+    The log does not make its folder: what is said before a stage has made it is written then.
+    """
 
     def __init__(self, shown: Progress, path: Path) -> None:
         self._shown = shown
         self._path = path
+        self._unwritten = ""
 
     @contextmanager
     def stage(self, name: str, total: int, unit: str) -> Iterator[Steps]:
@@ -164,9 +168,11 @@ class LoggedProgress(Progress):
         self._shown.note(text)
 
     def _log(self, text: str) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+        self._unwritten += f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n"
+        if self._path.parent.is_dir():
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(self._unwritten)
+            self._unwritten = ""
 
 
 def duration(seconds: float) -> str:

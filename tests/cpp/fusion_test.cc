@@ -69,6 +69,18 @@ TEST(Fusion, ADepthThatNoOtherViewConfirmsIsDropped) {
   EXPECT_EQ(std::count(points.pixel.begin(), points.pixel.end(), int64_t(wrong)), 0);
 }
 
+TEST(Fusion, ASourceThatMissesTheLastColumnByARoundingIsReadInsideItsWindow) {
+  // The sources stand a hair to the left and above: the last pixels project to just before the
+  // border.
+  std::vector<RenderedView> views;
+  for (double shift : {0.0, -1e-7, -2e-7}) {
+    RenderedView view = Render({0, 0, 0}, PlaneSurface({0, 0, -1}, -10), 4000, 3);
+    view.translation = Eigen::Vector3d(shift, shift, 0);
+    views.push_back(view);
+  }
+  EXPECT_GT(FuseView(views, 0).pixel.size(), 4000u);
+}
+
 TEST(Fusion, AWindowGivesThePointsOfTheWhole) {
   const std::vector<RenderedView> views = PlaneViews();
   const FusedPoints whole = FuseView(views, 0);

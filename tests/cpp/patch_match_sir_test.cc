@@ -128,6 +128,25 @@ TEST(PatchMatchSir, SameBytesOnAnyNumberOfThreadsAndInstructionSet) {
   EXPECT_EQ(expected.cost, baseline.cost);
 }
 
+TEST(PatchMatchSir, SmallWindowsAreNoSpecialCase) {
+  const Scene scene(PlaneSurface({0, 0, -1}, -10));
+  PatchMatchOptions options;
+  options.min_depth = 7;
+  options.max_depth = 14;
+  for (const auto& [width, height] : {std::pair{2, 2}, {3, 7}, {9, 2}, {16, 1 + 4}}) {
+    std::vector<uint8_t> grey(size_t(width) * height, 90);
+    ViewWindow window = scene.reference.Window();
+    window.rectangle = {80, 60, width, height};
+    window.grey = grey.data();
+    std::vector<ViewWindow> sources;
+    for (const RenderedView& source : scene.sources) sources.push_back(source.Window());
+    EXPECT_EQ(PatchMatchSir(window, sources, {}, options).depth.size(), grey.size());
+    // As a source it is smaller than a patch: nothing can be compared.
+    const PatchMatchResult blind = PatchMatchSir(scene.reference.Window(), {window}, {}, options);
+    EXPECT_EQ(std::count(blind.num_seeing.begin(), blind.num_seeing.end(), 0), kWidth * kHeight);
+  }
+}
+
 TEST(PatchMatchSir, WhatNoSourceSeesHasNoDepth) {
   Scene scene(PlaneSurface({0, 0, -1}, -10));
   scene.sources = {Render({60, 0, 0}, PlaneSurface({0, 0, -1}, -10), kWidth, kHeight)};

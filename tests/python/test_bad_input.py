@@ -116,3 +116,40 @@ def test_truncated_photograph_is_left_out_and_reported(
     assert (output / "fused.ply").exists()
     assert victim.name in (output / "report.html").read_text()
     assert not list((output / "images").glob(f"{victim.stem}_*"))
+
+
+def test_photographs_and_output_in_one_folder(town: Path, tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    shutil.copytree(town / "images", images)
+    run = _reconstruct(images, images)
+    assert run.returncode == 2 and "--output" in run.stderr
+    assert sorted(path.name for path in images.iterdir()) == sorted(
+        path.name for path in (town / "images").iterdir()
+    )
+
+
+@pytest.mark.parametrize("stage", ["views", "stereo", "fuse", "report"])
+def test_a_stage_on_a_folder_that_is_no_workspace(tmp_path: Path, stage: str) -> None:
+    folder = tmp_path / "nowhere"
+    command = [sys.executable, "-m", "sirpy", stage, str(folder)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    _assert_refused(run, folder, "nowhere")
+    assert not folder.exists()
+
+
+def test_an_option_out_of_range_writes_nothing(town: Path, output: Path) -> None:
+    model = ("--model", str(town / "sparse"))
+    for option in (("--num-sources", "0"), ("--threads", "-2")):
+        _assert_refused(_reconstruct(town / "images", output, *model, *option), output, option[0])
+
+
+def test_a_workspace_below_the_photographs_holds_no_photographs(town: Path, tmp_path: Path) -> None:
+    from sirpy.photographs import find_photographs
+
+    images = tmp_path / "images"
+    shutil.copytree(town / "images", images)
+    before = find_photographs(images)
+    (images / "out" / "images").mkdir(parents=True)
+    (images / "out" / "stages.json").write_text("{}")
+    shutil.copy(images / before[0], images / "out" / "images")
+    assert find_photographs(images) == before

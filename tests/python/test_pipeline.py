@@ -32,7 +32,9 @@ def whole(town: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def cut(town: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("cut") / "out"
-    reconstruct(town / "images", output, model=town / "sparse", grid=Grid(2, 2), threads=2)
+    # Paths may be strings.
+    images, model = str(town / "images"), str(town / "sparse")
+    reconstruct(images, str(output), model=model, grid=Grid(2, 2), threads=2)
     return output
 
 

@@ -1,10 +1,18 @@
 import io
 import re
 import time
+from pathlib import Path
 
 import pytest
 from rich.console import Console
-from sirpy.progress import PlainProgress, Progress, TerminalProgress, duration, make_progress
+from sirpy.progress import (
+    LoggedProgress,
+    PlainProgress,
+    Progress,
+    TerminalProgress,
+    duration,
+    make_progress,
+)
 
 
 def test_plain_lines_tell_start_tenths_and_end() -> None:
@@ -70,3 +78,17 @@ def test_quiet_is_silent_and_a_pipe_gets_lines(capfd: pytest.CaptureFixture[str]
     assert capfd.readouterr() == ("", "")
     make_progress(quiet=False).note("read me")
     assert capfd.readouterr() == ("", "read me\n")
+
+
+def test_a_log_keeps_what_was_shown_with_the_time(tmp_path: Path) -> None:
+    shown = io.StringIO()
+    progress = LoggedProgress(PlainProgress(shown), tmp_path / "out" / "log.txt")
+    with progress.stage("stereo", 2, "sub-image") as steps:
+        steps.advance(2)
+        assert not (tmp_path / "out").exists()
+        (tmp_path / "out").mkdir()
+    progress.note("a.jpg is left out")
+    lines = (tmp_path / "out" / "log.txt").read_text(encoding="utf-8").splitlines()
+    assert all(re.match(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ", line) for line in lines)
+    assert [line[20:] for line in lines[::2]] == ["stereo: 2 sub-images", "a.jpg is left out"]
+    assert "a.jpg is left out" in shown.getvalue()

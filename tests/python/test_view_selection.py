@@ -82,6 +82,13 @@ def test_a_sub_image_without_points_takes_those_around_it() -> None:
     assert found.sources
 
 
+def test_a_tiny_sub_image_takes_the_points_around_it() -> None:
+    core = Rectangle(400, 300, 3, 3)
+    sub_image = SubImage("s", 0, 0, core, core)
+    found = sub_image_views(SCENE, _native("003.jpg"), sub_image, num_sources=4, halo=0)
+    assert found.min_depth < found.max_depth
+
+
 def test_an_image_without_points_has_no_sources() -> None:
     seen = SCENE.observations["003.jpg"]
     observations = dict(SCENE.observations)

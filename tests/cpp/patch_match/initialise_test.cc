@@ -98,6 +98,18 @@ TEST(RandomPlanes, DependOnTheNativePixelAndNotOnTheWindow) {
   }
 }
 
+TEST(RandomPlanes, SeedsDoNotDependOnTheWindow) {
+  const Level whole = MakeLevel(2, 0, 0, 40, 30), part = MakeLevel(2, 6, 2, 20, 20);
+  const std::vector<SparsePoint> points = {{20, 20, 10}, {60, 40, 8}, {100, 90, 6}, {140, 30, 15}};
+  const RandomPlanes of_whole(whole, points), of_part(part, points);
+  Row long_row(whole.width), short_row(part.width);
+  for (int y = 0; y < part.height; ++y) {
+    of_whole.FillRow(2 + y, 0, long_row.View());
+    of_part.FillRow(y, 0, short_row.View());
+    for (int x = 0; x < part.width; ++x) EXPECT_EQ(short_row.rho[x], long_row.rho[6 + x]);
+  }
+}
+
 TEST(RandomPlanes, HalfOfTheCandidatesStartNearTheNearestSparsePoint) {
   const Level level = MakeLevel(2, 0, 0, 40, 30);
   // Native pixel (20, 20) at depth 10; (140, 100) at depth 6.
