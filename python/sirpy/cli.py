@@ -114,14 +114,10 @@ def plan(
 ) -> None:
     """The grid for a memory budget, and the peak memory of each stage."""
     from sirpy.memory import gigabytes, parse_memory
-    from sirpy.native_scene import native_scene
     from sirpy.planning import plan as run
-    from sirpy.sparse_model import read_model
-    from sirpy.sub_image_model import undistorted_model
 
-    scene = native_scene(undistorted_model(read_model(model)))
     found = run(
-        scene, memory=parse_memory(memory), grid=_grid(columns, rows), num_sources=num_sources
+        model, memory=parse_memory(memory), grid=_grid(columns, rows), num_sources=num_sources
     )
     if as_json:
         grid = {"columns": found.grid.columns, "rows": found.grid.rows}
@@ -141,31 +137,19 @@ def cut(
     columns: Columns = None,
     rows: Rows = None,
     overlap: Annotated[int, typer.Option(help="Extra pixels around each sub-image.")] = 0,
-    num_sources: NumSources = 8,
     quiet: Quiet = False,
 ) -> None:
     """Recapture: undistorts the photographs and cuts them into sub-images with their own cameras."""
     from sirpy.cutting import cut as run
     from sirpy.memory import parse_memory
-    from sirpy.native_scene import native_scene
-    from sirpy.planning import plan as choose
     from sirpy.progress import make_progress
-    from sirpy.sparse_model import model_identity, read_model
-    from sirpy.sub_image_model import undistorted_model
 
-    solved = read_model(model)
-    chosen = choose(
-        native_scene(undistorted_model(solved)),
-        memory=parse_memory(memory),
-        grid=_grid(columns, rows),
-        num_sources=num_sources,
-    )
     workspace = run(
         images,
-        solved,
+        model,
         output,
-        identity=model_identity(model),
-        grid=chosen.grid,
+        grid=_grid(columns, rows),
+        memory=parse_memory(memory),
         overlap=overlap,
         progress=make_progress(quiet),
     )

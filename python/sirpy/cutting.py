@@ -13,6 +13,8 @@ import pycolmap
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
 from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
+from sirpy.model_files import model_identity, read_model
+from sirpy.native_scene import native_scene
 from sirpy.photographs import (
     Photograph,
     check_folders,
@@ -20,6 +22,7 @@ from sirpy.photographs import (
     open_photograph,
     recapture_photograph,
 )
+from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
@@ -42,11 +45,12 @@ class _Task:
 
 def cut(
     images: Path | str,
-    model: pycolmap.Reconstruction,
+    model: Path | str | pycolmap.Reconstruction,
     output: Path | str,
     *,
-    identity: str,
-    grid: Grid,
+    grid: Grid | None = None,
+    memory: int | None = None,
+    identity: str | None = None,
     overlap: int = 0,
     format: Format | None = None,
     jpeg_quality: int = 95,
@@ -61,10 +65,11 @@ def cut(
 
     Args:
         images: folder that the names of the model are relative to.
-        model: COLMAP model of the photographs, in native pixels.
+        model: COLMAP model of the photographs, in native pixels: its folder, or read already.
         output: folder of the workspace.
-        identity: tells whether `model` is the same as in an earlier run.
-        grid: columns x rows of sub-images of each photograph.
+        grid: columns x rows of sub-images of each photograph; the coarsest for `memory` if None.
+        memory: bytes that all later stages may take; None for no bound.
+        identity: tells whether a model that was read already is the same as in an earlier run.
         overlap: extra pixels on each side of a sub-image.
         format: of the sub-images; None keeps JPEG and PNG, and makes PNG of everything else.
         jpeg_quality: 1 to 100.
@@ -78,6 +83,13 @@ def cut(
     images, output = Path(images), Path(output)
     _check_options(overlap, format, jpeg_quality)
     check_folders(images, output)
+    if not isinstance(model, pycolmap.Reconstruction):
+        identity = model_identity(Path(model))
+        model = read_model(model)
+    elif identity is None:
+        raise ValueError("a model that was read already needs an identity")
+    if grid is None:
+        grid = plan(native_scene(undistorted_model(model, undistort)), memory=memory).grid
     tasks, left_out = _check_inputs(images, model, grid, overlap, format, undistort)
     workspace = Workspace(output)
     _check_apart(images, workspace)

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from sirpy import _core
 from sirpy.errors import BudgetError
 from sirpy.memory import gigabytes
-from sirpy.native_scene import NativeScene
+from sirpy.model_files import read_model
+from sirpy.native_scene import NativeScene, native_scene
 from sirpy.rectangle import Grid
+from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import SubImageViews, sub_image_views
 from sirpy.workspace import NativeImage, SubImage
 
@@ -47,18 +50,30 @@ class Plan:
 
 
 def plan(
-    scene: NativeScene,
+    model: Path | str | NativeScene,
     *,
     memory: int | None,
     grid: Grid | None = None,
     num_sources: int = 8,
     halo: int = 32,
 ) -> Plan:
-    """The coarsest grid whose stages stay within `memory` (bytes), or the prediction for a given one.
+    """The coarsest grid whose stages stay within `memory`, or the prediction for a given grid.
+
+    Args:
+        model: folder of a COLMAP model in native pixels, or the scene of its undistorted images.
+        memory: bytes of the whole process tree; None for no bound.
+        grid: of sub-images; chosen if None.
+        num_sources, halo: as in `views`.
 
     Raises:
         BudgetError: nothing fits; the message says the least memory that would do.
+        InputError: the model cannot be read.
     """
+    scene = (
+        model
+        if isinstance(model, NativeScene)
+        else native_scene(undistorted_model(read_model(model)))
+    )
     least: Plan | None = None
     for candidate in [grid] if grid else _candidates(scene):
         found = Plan(candidate, _predict(scene, candidate, num_sources, halo))
