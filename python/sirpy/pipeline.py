@@ -112,7 +112,7 @@ def reconstruct(
     with log.stage(workspace, "fuse", count, "sub-image"):
         points = fuse(workspace, options=fusion_options, progress=progress)
     left_out = sorted([*left_out, *workspace.left_out], key=lambda out: out.name)
-    log.write(workspace, left_out)
+    log.write(workspace, chosen, points, left_out)
     report(workspace)
     return Reconstruction(workspace, chosen, points, left_out, log.peak)
 
@@ -148,12 +148,16 @@ class _RunLog:
         known = [s["measured_peak"] for s in self.stages if s["measured_peak"] is not None]
         return max(known) if known else None
 
-    def write(self, workspace: Workspace, left_out: list[LeftOut]) -> None:
+    def write(
+        self, workspace: Workspace, chosen: Plan, points: int, left_out: list[LeftOut]
+    ) -> None:
         write_json(
             workspace.run,
             {
                 "version": 1,
                 "memory": self.memory,
+                "grid": str(chosen.grid),
+                "points": points,
                 "stages": [
                     {**stage, "predicted_peak": self.predicted.get(stage["name"])}
                     for stage in self.stages
