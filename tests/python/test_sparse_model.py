@@ -194,7 +194,7 @@ def test_one_photograph_is_not_enough(tmp_path: Path) -> None:
 
 
 def test_a_budget_that_cannot_do_says_what_can(photographs: Path, tmp_path: Path) -> None:
-    with pytest.raises(BudgetError, match=r"needs 0\.\d GB"):
+    with pytest.raises(BudgetError, match=r"needs 0\.\d\d GB"):
         sparse(photographs, tmp_path, max_size=400, memory=100_000_000)
 
 
