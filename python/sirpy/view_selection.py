@@ -9,7 +9,9 @@ no match is lost at a border of the grid.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +25,13 @@ from sirpy.rectangle import Rectangle
 from sirpy.workspace import NativeImage, SubImage, Workspace
 
 ALIGNMENT = 8  # native pixels: windows start and end on the lattice of the coarsest pyramid level
+MOST_SOURCES = 16  # of a sub-image: what the estimator holds
 PATCH_REACH = (
     9  # native pixels: a patch of radius 4, magnified at most 2 times in the source, and a pixel
 )
 
 _ENOUGH_POINTS = 60  # that give a depth range and a choice of sources
+_BLOCKS_OF_A_SIDE = 4
 _MIN_SHARED = 8  # sparse points that a source must share with the reference
 _DEPTH_PERCENTILES = (1.0, 99.0)
 _DEPTH_MARGIN = 0.25  # of the range of the sparse points, on both sides
@@ -73,7 +77,8 @@ def views(
 
     Args:
         workspace: with its sub-images and models (see `cut`).
-        num_sources: native images that a reference is matched against, at most (1 to 16).
+        num_sources: native images that each place is matched against, at most (1 to 16); a
+            sub-image takes those of all its places, 16 at most.
         halo: native pixels around a sub-image that are estimated with it and thrown away.
 
     Raises:
@@ -111,8 +116,8 @@ def views(
 
 def check_num_sources(num_sources: int) -> None:
     """Raises InputError unless stereo can match against so many sources."""
-    if not 1 <= num_sources <= 16:
-        raise InputError(f"--num-sources {num_sources} is not possible: choose 1 to 16")
+    if not 1 <= num_sources <= MOST_SOURCES:
+        raise InputError(f"--num-sources {num_sources} is not possible: choose 1 to {MOST_SOURCES}")
 
 
 def read_views(workspace: Workspace) -> Views:
@@ -184,28 +189,51 @@ def sub_image_views(
     """Depth range, sources and windows of one sub-image."""
     window = aligned(sub_image.stored.padded(halo), native.rectangle)
     reference = scene.cameras[native.name]
-    near = _observations_around(scene, native, sub_image)
+    seen = scene.observations[native.name]
+    near = _observations_around(scene, native, sub_image.core)
     if len(near) < 3:
         return SubImageViews(sub_image.name, window, 0.0, 0.0, ())
-    seen = scene.observations[native.name]
     depths = _depth_range(seen.depth[near])
-    sources = []
-    for name in _ranked_sources(scene, native.name, seen.point[near]):
-        in_source = source_window(reference, window, depths, scene.cameras[name])
-        if min(in_source.width, in_source.height) > 2 * PATCH_REACH:
-            sources.append(Source(name, in_source))
-        if len(sources) == num_sources:
-            break
-    return SubImageViews(sub_image.name, window, *depths, tuple(sources))
+    windows: dict[str, Rectangle] = {}
+
+    def has_part(name: str) -> bool:
+        if name not in windows:
+            windows[name] = source_window(reference, window, depths, scene.cameras[name])
+        return min(windows[name].width, windows[name].height) > 2 * PATCH_REACH
+
+    chosen: Counter[str] = Counter()
+    for block in _blocks(native, sub_image.stored):
+        points = seen.point[_observations_around(scene, native, block)]
+        ranked = _ranked_sources(scene, native.name, points)
+        best = list(islice(filter(has_part, ranked), num_sources))
+        # The best of each block come before the second best of any.
+        chosen.update({name: 1 << (MOST_SOURCES - i) for i, name in enumerate(best)})
+    names = sorted(chosen, key=lambda name: (-chosen[name], name))[:MOST_SOURCES]
+    sources = tuple(Source(name, windows[name]) for name in names)
+    return SubImageViews(sub_image.name, window, *depths, sources)
 
 
-def _observations_around(scene: NativeScene, native: NativeImage, sub_image: SubImage) -> Indices:
-    """Indices of the observations in a region around the sub-image that grows until it holds enough."""
+def _blocks(native: NativeImage, rectangle: Rectangle) -> list[Rectangle]:
+    """Quarters of the native image's longest side that touch the rectangle.
+
+    Sources are chosen for each of them: the parts of a large sub-image are seen by different
+    photographs, and the choice must not depend on how the image is cut.
+    """
+    side = -(-max(native.width, native.height) // _BLOCKS_OF_A_SIDE)
+    blocks = [
+        Rectangle(x0, y0, side, side).intersection(native.rectangle)
+        for y0 in range(0, native.height, side)
+        for x0 in range(0, native.width, side)
+    ]
+    return [block for block in blocks if block.intersection(rectangle).area]
+
+
+def _observations_around(scene: NativeScene, native: NativeImage, rectangle: Rectangle) -> Indices:
+    """Indices of the observations in a region around a rectangle that grows until it holds enough."""
     seen = scene.observations[native.name]
-    core = sub_image.core
-    margin = max(1, max(core.width, core.height) // 8)
+    margin = max(1, max(rectangle.width, rectangle.height) // 8)
     while True:
-        region = core.padded(margin)
+        region = rectangle.padded(margin)
         x, y = seen.pixel[:, 0], seen.pixel[:, 1]
         inside = (x >= region.x0) & (x < region.x1) & (y >= region.y0) & (y < region.y1)
         if inside.sum() >= _ENOUGH_POINTS or region.contains(native.rectangle):
