@@ -68,6 +68,20 @@ def test_sources_are_the_neighbours_and_depths_hold_the_points() -> None:
         assert found.window.contains(core)
 
 
+def test_a_whole_photograph_has_the_sources_of_all_its_parts() -> None:
+    native = _native("003.jpg")
+
+    def sources(core: Rectangle) -> set[str]:
+        sub_image = SubImage("s", 0, 0, core, core)
+        found = sub_image_views(SCENE, native, sub_image, num_sources=2, halo=0)
+        return {source.name for source in found.sources}
+
+    whole = sources(WHOLE)
+    parts = [sources(core) for _, _, core in Grid(3, 3).cores(800, 600)]
+    assert set.union(*parts) <= whole
+    assert len(whole) > 2  # the left part is seen by other cameras than the right one
+
+
 def test_a_sub_image_without_points_takes_those_around_it() -> None:
     seen = SCENE.observations["003.jpg"]
     keep = seen.pixel[:, 0] > 600
