@@ -6,7 +6,6 @@ same whatever the order or number of workers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -86,20 +85,20 @@ def fuse(
                 with written_whole(part) as path:
                     np.save(path, points)
             step.advance()
-    parts = [workspace.fused_part(sub_image) for _, sub_image in todo]
-    return write_cloud(workspace.fused, (np.load(part, mmap_mode="r") for part in parts), parts)
+    return write_cloud(workspace.fused, [workspace.fused_part(sub_image) for _, sub_image in todo])
 
 
-def write_cloud(path: Path, parts: Iterator[npt.NDArray[np.void]], files: list[Path]) -> int:
-    """Writes the points of all parts as one binary PLY file; returns their number."""
-    count = sum(int(np.load(file, mmap_mode="r").shape[0]) for file in files)
+def write_cloud(path: Path, parts: list[Path]) -> int:
+    """Writes the points of all parts (.npy of POINT) as one binary PLY file; returns their number."""
+    # One part is open at a time: there may be more of them than a process may open files.
+    count = sum(len(np.load(part, mmap_mode="r")) for part in parts)
     kind = {"<f4": "float", "|u1": "uchar"}
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
     header += [f"property {kind[POINT[name].str]} {name}" for name in POINT.names or ()]
     with written_whole(path) as temporary, temporary.open("wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
         for part in parts:
-            file.write(part.tobytes())
+            file.write(np.load(part, mmap_mode="r").tobytes())
     return count
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sirpy.colmap_launcher import installed_colmap
 from sirpy.dense_stereo import StereoOptions
 from sirpy.pipeline import reconstruct
 from sirpy.ply import read_vertices
@@ -113,24 +114,15 @@ def test_pycolmap_fuses_the_workspace(town: Path, cut: Path, tmp_path: Path) -> 
     assert evaluate(town, cloud, thresholds=(5,)).accuracy[0] > 0.8
 
 
-def _installed_colmap() -> str | None:
-    candidates = [
-        Path(folder) / "colmap" for folder in os.environ.get("PATH", "").split(os.pathsep)
-    ]
-    for path in candidates:
-        if os.access(path, os.X_OK) and path.read_bytes()[:4] == b"\x7fELF":
-            return str(path)
-    return None
+COLMAP = installed_colmap(os.environ.get("PATH", os.defpath))
 
 
-@pytest.mark.skipif(_installed_colmap() is None, reason="no COLMAP program is installed")
+@pytest.mark.skipif(COLMAP is None, reason="no COLMAP program is installed")
 def test_the_installed_colmap_fuses_the_workspace(town: Path, cut: Path, tmp_path: Path) -> None:
-    colmap = _installed_colmap()
-    assert colmap is not None
     workspace = tmp_path / "copy"
     shutil.copytree(cut, workspace)
     cloud = tmp_path / "colmap.ply"
-    command = [colmap, "stereo_fusion", "--workspace_path", str(workspace)]
+    command = [str(COLMAP), "stereo_fusion", "--workspace_path", str(workspace)]
     command += ["--input_type", "geometric", "--output_path", str(cloud)]
     subprocess.run(command, check=True, timeout=120, capture_output=True)
     assert evaluate(town, cloud, thresholds=(5,)).accuracy[0] > 0.8
