@@ -13,7 +13,8 @@ import pycolmap
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
 from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
-from sirpy.model_files import model_identity, read_model
+from sirpy.model_arrays import SparseModel, read_arrays, write_model
+from sirpy.model_files import model_identity
 from sirpy.native_scene import native_scene
 from sirpy.photographs import (
     Photograph,
@@ -25,7 +26,7 @@ from sirpy.photographs import (
 from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
-from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
+from sirpy.sub_image_model import sub_image_model, undistorted_model
 from sirpy.workspace import LeftOut, NativeImage, SubImage, Workspace, check_writable
 
 Format = Literal["jpg", "png"]
@@ -45,7 +46,7 @@ class _Task:
 
 def cut(
     images: Path | str,
-    model: Path | str | pycolmap.Reconstruction,
+    model: Path | str | pycolmap.Reconstruction | SparseModel,
     output: Path | str,
     *,
     grid: Grid | None = None,
@@ -83,11 +84,12 @@ def cut(
     images, output = Path(images), Path(output)
     _check_options(overlap, format, jpeg_quality)
     check_folders(images, output)
-    if not isinstance(model, pycolmap.Reconstruction):
+    if isinstance(model, (str, Path)):
         identity = model_identity(Path(model))
-        model = read_model(model)
     elif identity is None:
         raise ValueError("a model that was read already needs an identity")
+    if not isinstance(model, SparseModel):
+        model = read_arrays(model)
     if grid is None:
         grid = plan(native_scene(undistorted_model(model, undistort)), memory=memory).grid
     tasks, left_out = _check_inputs(images, model, grid, overlap, format, undistort)
@@ -132,14 +134,14 @@ def _check_options(overlap: int, format: str | None, jpeg_quality: int) -> None:
 
 def _check_inputs(
     images: Path,
-    model: pycolmap.Reconstruction,
+    model: SparseModel,
     grid: Grid,
     overlap: int,
     format: Format | None,
     undistort: UndistortOptions,
 ) -> tuple[list[_Task], list[LeftOut]]:
     """What is to be done, in order of names, and the photographs that cannot be opened."""
-    posed = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
+    posed = sorted(model.images, key=lambda image: image.name)
     if not posed:
         raise InputError("the model has no image with a pose: solve the cameras again")
     if not images.is_dir():
@@ -148,12 +150,12 @@ def _check_inputs(
     check_names(names)
     stems = _stems(names)
     targets = {
-        camera_id: undistorted_camera(model.camera(camera_id), undistort)
+        camera_id: undistorted_camera(model.cameras[camera_id], undistort)
         for camera_id in sorted({image.camera_id for image in posed})
     }
     tasks, left_out = [], []
     for image in posed:
-        camera = model.camera(image.camera_id)
+        camera = model.camera_of(image)
         try:
             photograph = open_photograph(images / image.name)
         except InputError as error:

@@ -14,7 +14,7 @@ from pathlib import Path
 from sirpy import _core
 from sirpy.errors import BudgetError
 from sirpy.memory import gigabytes
-from sirpy.model_files import read_model
+from sirpy.model_arrays import read_arrays
 from sirpy.native_scene import NativeScene, native_scene
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import undistorted_model
@@ -72,7 +72,7 @@ def plan(
     scene = (
         model
         if isinstance(model, NativeScene)
-        else native_scene(undistorted_model(read_model(model)))
+        else native_scene(undistorted_model(read_arrays(model)))
     )
     least: Plan | None = None
     for candidate in [grid] if grid else _candidates(scene):
