@@ -8,6 +8,7 @@
 #include <memory>
 #include <string>
 #include <type_traits>
+#include <vector>
 
 #include "error.h"
 
@@ -16,6 +17,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr size_t kBuffer = 1 << 18;   // bytes
 constexpr int32_t kCameraSensor = 0;  // COLMAP's SensorType::CAMERA
 
 [[noreturn]] void Fail(const fs::path& folder, const std::string& reason) {
@@ -30,24 +32,27 @@ class ModelFile {
   ModelFile(const fs::path& temporary, const char* name, const fs::path& folder)
       : folder_(folder), file_(std::fopen((temporary / name).c_str(), "wb")) {
     if (file_ == nullptr) Fail(folder_, std::strerror(errno));
-    std::setvbuf(file_.get(), nullptr, _IOFBF, 1 << 18);
+    std::setvbuf(file_.get(), nullptr, _IONBF, 0);
+    buffer_.reserve(kBuffer);
   }
 
   template <typename T>
   void Put(T value) {
-    static_assert(std::is_arithmetic_v<T>);
-    PutBytes(&value, sizeof(T));
+    Put(&value, 1);
   }
 
   template <typename T>
   void Put(const T* values, size_t count) {
     static_assert(std::is_arithmetic_v<T>);
-    PutBytes(values, count * sizeof(T));
+    const auto* bytes = reinterpret_cast<const char*>(values);
+    buffer_.insert(buffer_.end(), bytes, bytes + count * sizeof(T));
+    if (buffer_.size() >= kBuffer) Flush();
   }
 
   void Finish() {
+    Flush();
     errno = 0;
-    // A full disk may show only here, when the last buffer leaves.
+    // A full disk may show only here.
     if (std::fclose(file_.release()) != 0) Fail(folder_, Reason());
   }
 
@@ -56,9 +61,12 @@ class ModelFile {
     void operator()(std::FILE* file) const { std::fclose(file); }
   };
 
-  void PutBytes(const void* bytes, size_t size) {
+  void Flush() {
     errno = 0;
-    if (std::fwrite(bytes, 1, size, file_.get()) != size) Fail(folder_, Reason());
+    if (std::fwrite(buffer_.data(), 1, buffer_.size(), file_.get()) != buffer_.size()) {
+      Fail(folder_, Reason());
+    }
+    buffer_.clear();
   }
 
   static std::string Reason() {
@@ -67,6 +75,7 @@ class ModelFile {
 
   fs::path folder_;
   std::unique_ptr<std::FILE, Close> file_;
+  std::vector<char> buffer_;
 };
 
 // A folder beside the model's that becomes it, or is gone when that does not come about.
@@ -92,8 +101,9 @@ class TemporaryFolder {
 
   void Commit() {
     std::error_code error;
-    fs::remove_all(folder_, error);
-    if (!error) fs::rename(path_, folder_, error);
+    // Anything but a folder stays, and stands in the way.
+    if (fs::is_directory(folder_, error)) fs::remove_all(folder_, error);
+    fs::rename(path_, folder_, error);
     if (error) Fail(folder_, error.message());
   }
 

@@ -108,16 +108,8 @@ void RecordReader::Damaged(const std::string& what) const {
   throw InputError(path_.string() + " is damaged (" + what + "): export the model again");
 }
 
-const unsigned char* RecordReader::Bytes(size_t size) {
+void RecordReader::Fill(size_t size) {
   if (static_cast<int64_t>(size) > left()) Damaged("it ends too early");
-  if (filled_ - next_ < size) Fill();
-  if (filled_ - next_ < size) Damaged("it ends too early");  // it has become shorter
-  const unsigned char* bytes = buffer_.data() + next_;
-  next_ += size;
-  return bytes;
-}
-
-void RecordReader::Fill() {
   std::memmove(buffer_.data(), buffer_.data() + next_, filled_ - next_);
   filled_ -= next_;
   next_ = 0;
@@ -125,6 +117,7 @@ void RecordReader::Fill() {
   const size_t got = std::fread(buffer_.data() + filled_, 1, wanted, file_.get());
   filled_ += got;
   unread_ = got == wanted ? unread_ - static_cast<int64_t>(got) : 0;
+  if (filled_ < size) Damaged("it ends too early");  // it has become shorter while it was read
 }
 
 }  // namespace sirpy

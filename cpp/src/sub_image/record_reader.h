@@ -53,8 +53,14 @@ class RecordReader {
 
   int64_t left() const { return unread_ + static_cast<int64_t>(filled_ - next_); }
   // The next `size` bytes, which are valid until the next call.
-  const unsigned char* Bytes(size_t size);
-  void Fill();
+  const unsigned char* Bytes(size_t size) {
+    if (filled_ - next_ < size) Fill(size);
+    const unsigned char* bytes = buffer_.data() + next_;
+    next_ += size;
+    return bytes;
+  }
+  // Reads on, so that the buffer holds at least `size` bytes.
+  void Fill(size_t size);
 
   std::filesystem::path path_;
   std::unique_ptr<std::FILE, Close> file_;
