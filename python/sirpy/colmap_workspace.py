@@ -3,9 +3,10 @@ scripts."""
 
 from __future__ import annotations
 
-import pycolmap
+import numpy as np
 
 from sirpy.files import fingerprint, written_whole
+from sirpy.model_arrays import read_arrays
 from sirpy.workspace import Workspace
 
 _SCRIPT = """\
@@ -39,9 +40,9 @@ def write_dense_folder(workspace: Workspace, source_images: int) -> list[str]:
     Raises:
         OutputError: the workspace cannot be written.
     """
-    model = pycolmap.Reconstruction(workspace.sparse)
-    images = [model.image(image_id) for image_id in model.reg_image_ids()]
-    names = sorted(image.name for image in images if image.num_points3D > 0)
+    model = read_arrays(workspace.sparse, may_be_empty=True)
+    points = dict(zip((i.name for i in model.images), np.diff(model.starts), strict=True))
+    names = sorted(name for name, count in points.items() if count > 0)
     # What COLMAP writes here belongs to this cut: cutting anew clears it away.
     inputs = fingerprint("colmap", source_images, workspace.fingerprint_of("cut"))
     if not workspace.begin_stage("views", inputs):
@@ -59,5 +60,4 @@ def write_dense_folder(workspace: Workspace, source_images: int) -> list[str]:
             temporary.write_text(text, encoding="utf-8")
             if path.suffix == ".sh":
                 temporary.chmod(0o755)
-    with_points = set(names)
-    return sorted(image.name for image in images if image.name not in with_points)
+    return sorted(points.keys() - set(names))
