@@ -84,6 +84,9 @@ class DamagedModels {
       const size_t i = fuzz::Below(random, files.size());
       files[i] = mutated(files[i], others[i]);
     }
+    // New files: overwriting makes some file systems wait for the disk.
+    fs::remove_all(folder_);
+    fs::create_directories(folder_);
     for (size_t i = 0; i < files.size(); ++i) WriteBytes(folder_ / kNames[i], files[i]);
     const SparseModel model = ReadModel(folder_);
     WriteModel(model, folder_);
