@@ -10,8 +10,10 @@ from typing import Literal
 
 import pycolmap
 
+from sirpy.area import AreaFilter
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
+from sirpy.layout import Layout, Region
 from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
 from sirpy.model_files import model_identity, read_model
 from sirpy.native_scene import native_scene
@@ -26,12 +28,12 @@ from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
-from sirpy.workspace import LeftOut, NativeImage, SubImage, Workspace, check_writable
+from sirpy.workspace import LeftOut, NativeImage, Workspace, check_writable
 
 Format = Literal["jpg", "png"]
 
 # To be raised when the same inputs and options begin to give other files.
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ def cut(
     memory: int | None = None,
     identity: str | None = None,
     overlap: int = 0,
+    region: Region = Region(),
     format: Format | None = None,
     jpeg_quality: int = 95,
     undistort: UndistortOptions = UndistortOptions(),
@@ -71,26 +74,38 @@ def cut(
         memory: bytes that all later stages may take; None for no bound.
         identity: tells whether a model that was read already is the same as in an earlier run.
         overlap: extra pixels on each side of a sub-image.
+        region: what of the photographs is cut; all of it by default.
         format: of the sub-images; None keeps JPEG and PNG, and makes PNG of everything else.
         jpeg_quality: 1 to 100.
 
     Raises:
         InputError: nothing was written: no usable photograph, a size that differs from its
         camera's, a
-            grid larger than an image, an unsafe name, a bad option.
+            grid larger than an image, an unsafe name, a bad option, a region outside an image.
         OutputError: the output folder cannot be written.
     """
     images, output = Path(images), Path(output)
-    _check_options(overlap, format, jpeg_quality)
+    _check_options(format, jpeg_quality)
     check_folders(images, output)
     if not isinstance(model, pycolmap.Reconstruction):
         identity = model_identity(Path(model))
         model = read_model(model)
     elif identity is None:
         raise ValueError("a model that was read already needs an identity")
-    if grid is None:
-        grid = plan(native_scene(undistorted_model(model, undistort)), memory=memory).grid
-    tasks, left_out = _check_inputs(images, model, grid, overlap, format, undistort)
+    seeing = None
+    if grid is None or region.area is not None:
+        scene = native_scene(undistorted_model(model, undistort))
+        if region.area is not None:
+            seeing = AreaFilter(region.area, scene)
+        if grid is None:
+            grid = plan(scene, memory=memory, overlap=overlap, region=region).grid
+        del scene
+    layout = Layout(grid, overlap, region)
+    tasks, left_out = _check_inputs(images, model, layout, seeing, format, undistort)
+    del seeing
+    if region.area is not None:
+        count = sum(len(task.native.sub_images) for task in tasks)
+        progress.note(f"area: {len(tasks)} photographs see it, in {count} sub-images")
     workspace = Workspace(output)
     _check_apart(images, workspace)
     check_writable(output)
@@ -99,9 +114,9 @@ def cut(
         fingerprint(
             _VERSION,
             identity,
-            [(task.native.name, file_identity(task.photograph.path)) for task in tasks],
+            [(asdict(task.native), file_identity(task.photograph.path)) for task in tasks],
             [out.name for out in left_out],
-            [grid.columns, grid.rows, overlap, format, jpeg_quality],
+            [format, jpeg_quality],
             asdict(undistort),
         ),
     )
@@ -121,9 +136,7 @@ def cut(
     return workspace
 
 
-def _check_options(overlap: int, format: str | None, jpeg_quality: int) -> None:
-    if overlap < 0:
-        raise InputError(f"overlap = {overlap} is not possible: it must be at least 0 pixels")
+def _check_options(format: str | None, jpeg_quality: int) -> None:
     if format not in (None, "jpg", "png"):
         raise InputError(f"format = {format!r} is not possible: it must be 'jpg' or 'png'")
     if not 1 <= jpeg_quality <= 100:
@@ -133,12 +146,15 @@ def _check_options(overlap: int, format: str | None, jpeg_quality: int) -> None:
 def _check_inputs(
     images: Path,
     model: pycolmap.Reconstruction,
-    grid: Grid,
-    overlap: int,
+    layout: Layout,
+    seeing: AreaFilter | None,
     format: Format | None,
     undistort: UndistortOptions,
 ) -> tuple[list[_Task], list[LeftOut]]:
-    """What is to be done, in order of names, and the photographs that cannot be opened."""
+    """What is to be done, in order of names, and the photographs that cannot be opened.
+
+    `seeing` takes away the sub-images that do not see the area of the layout's region, if it has one.
+    """
     posed = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
     if not posed:
         raise InputError("the model has no image with a pose: solve the cameras again")
@@ -146,6 +162,7 @@ def _check_inputs(
         raise InputError(f"there is no folder {images}: give the folder that holds the photographs")
     names = [image.name for image in posed]
     check_names(names)
+    layout.check_names(names)
     stems = _stems(names)
     targets = {
         camera_id: undistorted_camera(model.camera(camera_id), undistort)
@@ -153,7 +170,12 @@ def _check_inputs(
     }
     tasks, left_out = [], []
     for image in posed:
-        camera = model.camera(image.camera_id)
+        camera, target = model.camera(image.camera_id), targets[image.camera_id]
+        native = layout.native_image(image.name, (target.width, target.height))
+        if seeing is not None:
+            native = seeing(native)
+            if not native.sub_images:
+                continue
         try:
             photograph = open_photograph(images / image.name)
         except InputError as error:
@@ -165,10 +187,11 @@ def _check_inputs(
                 f"but its camera {camera.camera_id} in the model {camera.width}x{camera.height}: "
                 "give the photographs that the model was solved with, or solve it again"
             )
-        target = targets[image.camera_id]
         extension = format or ("jpg" if photograph.format == "JPEG" else "png")
-        native = _native_image(image.name, stems[image.name], extension, target, grid, overlap)
+        native = layout.named(native, stems[image.name], extension)
         tasks.append(_Task(photograph, camera, native))
+    if seeing is not None and not tasks and not left_out:
+        raise seeing.nothing_left()
     if not tasks:
         raise _nothing_left(left_out)
     return tasks, left_out
@@ -196,25 +219,6 @@ def _stems(names: list[str]) -> dict[str, str]:
                 "them"
             )
     return stems
-
-
-def _native_image(
-    name: str, stem: str, extension: str, camera: pycolmap.Camera, grid: Grid, overlap: int
-) -> NativeImage:
-    native = NativeImage(name, camera.width, camera.height, ())
-    row_digits = max(2, len(str(grid.rows - 1)))
-    column_digits = max(2, len(str(grid.columns - 1)))
-    sub_images = tuple(
-        SubImage(
-            f"{stem}_r{row:0{row_digits}}_c{column:0{column_digits}}.{extension}",
-            row,
-            column,
-            core,
-            core.padded(overlap).intersection(native.rectangle),
-        )
-        for row, column, core in grid.cores(camera.width, camera.height)
-    )
-    return NativeImage(name, camera.width, camera.height, sub_images)
 
 
 def _check_apart(images: Path, workspace: Workspace) -> None:

@@ -35,7 +35,7 @@ def read_window(
         InputError: a sub-image is missing or damaged.
     """
     shape = (rectangle.height, rectangle.width, 3) if color else (rectangle.height, rectangle.width)
-    window = np.empty(shape, np.uint8)
+    window = np.zeros(shape, np.uint8)
     for sub, part in _parts(native, rectangle):
         x0, y0 = part.x0 - sub.stored.x0, part.y0 - sub.stored.y0
         window[part.slices_in(rectangle)] = _core.read_window(
@@ -61,7 +61,7 @@ def read_map_window(
         workspace.depth_map if kind == "depth" else workspace.normal_map
     )
     channels = 1 if kind == "depth" else 3
-    window = np.empty((channels, rectangle.height, rectangle.width), np.float32)
+    window = np.zeros((channels, rectangle.height, rectangle.width), np.float32)
     for sub, part in _parts(native, rectangle):
         planes = open_map(path_of(sub, of_pass), sub.stored, channels)
         pixels = planes[(slice(None), *part.slices_in(sub.stored))]
