@@ -28,6 +28,10 @@ class Region:
     area: Area | None = None
     """Only the sub-images that see it (`AreaFilter`)."""
 
+    def roi_of(self, name: str) -> Rectangle | None:
+        """Of one image; None for all of it."""
+        return self.rois.get(name, self.roi)
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -47,8 +51,8 @@ class Layout:
         """Raises InputError where the region names an image that is not among `names`."""
         if unknown := sorted(set(self.region.rois) - set(names)):
             raise InputError(
-                f"a region is given for {unknown[0]}, which is not in the model: give names as they "
-                "are in the model"
+                f"a region is given for {unknown[0]}, which is not among the images of the model that "
+                "are cut: give names as they are in the model"
             )
 
     def native_image(self, name: str, size: tuple[int, int]) -> NativeImage:
@@ -58,7 +62,7 @@ class Layout:
             InputError: the region reaches outside the image, or the grid does not fit into it.
         """
         whole = Rectangle(0, 0, *size)
-        roi = self.region.rois.get(name, self.region.roi) or whole
+        roi = self.region.roi_of(name) or whole
         if roi.area == 0 or not whole.contains(roi):
             raise InputError(
                 f"the region {_written(roi)} reaches outside the undistorted image of {name}, which has "

@@ -162,7 +162,7 @@ def grid_for_memory(sizes: list[tuple[int, int]], memory: int) -> Grid:
 
 def _candidates(scene: NativeScene, region: Region) -> Iterator[Grid]:
     sizes = [(camera.width, camera.height) for camera in scene.cameras.values()]
-    rois = [region.rois.get(name, region.roi) for name in scene.cameras]
+    rois = [region.roi_of(name) for name in scene.cameras]
     cut = [(roi.width, roi.height) if roi else size for roi, size in zip(rois, sizes, strict=True)]
     yield from _grids(*max(cut, key=lambda size: size[0] * size[1]))
 

@@ -56,6 +56,14 @@ def test_defaults_are_those_of_colmap() -> None:
         max_sub_image_size=None,
         memory=None,
         sub_image_overlap=0,
+        sub_image_column_cuts=None,
+        sub_image_row_cuts=None,
+        sub_image_roi=None,
+        sub_image_roi_list=None,
+        area=None,
+        area_crs=None,
+        model_crs=None,
+        cluster_size=None,
         notes=(),
     )
 
