@@ -103,7 +103,7 @@ def clusters(workspace: Workspace, *, cluster_size: int = 20) -> list[list[str]]
     natives = workspace.natives
     seen = visibility(natives, read_native_scene(workspace))
     groups = cover(seen, cluster_size)
-    _add_pointless(groups, natives, cluster_size)
+    add_pointless(groups, natives, cluster_size)
     groups = sorted(sorted(group) for group in groups)
     names = [sub.name for _, sub in workspace.sub_images()]
     named = [[names[node] for node in group] for group in groups]
@@ -286,7 +286,7 @@ def _best_addition(
     return float(gain[node]), node
 
 
-def _add_pointless(
+def add_pointless(
     groups: list[list[int]], natives: tuple[NativeImage, ...], cluster_size: int
 ) -> None:
     """Gives each sub-image that is in no group yet to a group of its neighbour, if one has room."""
@@ -294,34 +294,33 @@ def _add_pointless(
     for group in groups:
         for node in group:
             homes.setdefault(node, []).append(group)
+
+    def settle(node: int, neighbour: int | None) -> None:
+        candidates = homes[neighbour] if neighbour is not None else []
+        home = next((group for group in candidates if len(group) < cluster_size), None)
+        if home is None:
+            home = []
+            groups.append(home)
+        home.append(node)
+        homes[node] = [home]
+
     first = 0
     for native in natives:
         places = {(sub.row, sub.column): first + i for i, sub in enumerate(native.sub_images)}
         first += len(places)
-        left = {place: node for place, node in places.items() if node not in homes}
+        left = {place for place, node in places.items() if node not in homes}
         frontier = deque(place for place in places if place not in left)
         while left:
             if not frontier:
-                place = min(left)
-                homes[left[place]] = [[left.pop(place)]]
-                groups += homes[places[place]]
-                frontier.append(place)
-            row, column = place = frontier.popleft()
-            for near in (
-                (row - 1, column),
-                (row, column - 1),
-                (row, column + 1),
-                (row + 1, column),
-            ):
+                frontier.append(min(left))
+                left.remove(frontier[0])
+                settle(places[frontier[0]], None)
+            row, column = frontier.popleft()
+            for step_y, step_x in ((-1, 0), (0, -1), (0, 1), (1, 0)):
+                near = row + step_y, column + step_x
                 if near in left:
-                    node = left.pop(near)
-                    with_room = [g for g in homes[places[place]] if len(g) < cluster_size]
-                    if with_room:
-                        with_room[0].append(node)
-                        homes[node] = with_room[:1]
-                    else:
-                        homes[node] = [[node]]
-                        groups += homes[node]
+                    left.remove(near)
+                    settle(places[near], places[row, column])
                     frontier.append(near)
 
 

@@ -42,7 +42,7 @@ def _written(plan: Plan) -> Table:
 def _stages(plan: Plan) -> Table:
     table = Table(title="Stages", title_justify="left")
     table.add_column("stage")
-    for name in ("units", "bytes per pixel", "peak", "CPU time", "wall time"):
+    for name in ("units", "bytes per pixel + of sources", "peak", "CPU time", "wall time"):
         table.add_column(name, justify="right")
     for stage in plan.stages:
         table.add_row(
@@ -59,4 +59,4 @@ def _stages(plan: Plan) -> Table:
 def _bytes_per_pixel(stage: StagePlan) -> str:
     if stage.bytes_per_pixel is None:
         return "-"
-    return f"{stage.bytes_per_pixel[0]} + {stage.bytes_per_pixel[1]} of sources"
+    return f"{stage.bytes_per_pixel[0]} + {stage.bytes_per_pixel[1]}"
