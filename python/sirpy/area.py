@@ -7,10 +7,9 @@ the part of its frustum between the local heights of the sparse points, seen fro
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 _WGS84 = "OGC:CRS84"  # RFC 7946: longitude, latitude
+_COMPARED_AT_ONCE = 1_000_000  # pairs of a point and an edge
 _PARTS_OF_AN_EDGE = 32  # straight in one CRS is bent in another
 _HEIGHT_PERCENTILES = (1.0, 99.0)
 _HEIGHT_MARGIN = 0.25  # of the local range of heights, on both sides
@@ -50,14 +50,11 @@ class Area:
         for rings in self.polygons:
             low, high = rings[0].min(axis=0), rings[0].max(axis=0)
             near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1) & ~inside)
-            x, y = points[near].T
-            odd = np.zeros(len(near), bool)
-            for ring in rings:
-                for (ax, ay), (bx, by) in pairwise(ring):
-                    if ay != by:
-                        crosses = (y < ay) != (y < by)
-                        odd ^= crosses & (x < ax + (y - ay) / (by - ay) * (bx - ax))
-            inside[near] = odd
+            begin, end = _edges(rings)
+            step = max(1, _COMPARED_AT_ONCE // len(begin))
+            for first in range(0, len(near), step):
+                some = near[first : first + step]
+                inside[some] = _is_inside(points[some], begin, end)
         return inside
 
     def touches(self, convex: Floats) -> bool:
@@ -65,7 +62,10 @@ class Area:
         area."""
         if len(convex) == 0:
             return False
-        begin, direction = self._edges
+        begin, end = self._all_edges
+        low, high = convex.min(axis=0), convex.max(axis=0)
+        near = ((np.maximum(begin, end) >= low) & (np.minimum(begin, end) <= high)).all(axis=1)
+        begin, direction = begin[near], (end - begin)[near]
         side = np.roll(convex, -1, axis=0) - convex
         outward = np.column_stack([side[:, 1], -side[:, 0]])
         # Each edge of the area from t = enter to t = leave is inside all sides (Cyrus and Beck).
@@ -81,11 +81,24 @@ class Area:
         return bool(self.contains(convex).any())
 
     @cached_property
-    def _edges(self) -> tuple[Floats, Floats]:
-        """(begin, direction) of all edges, each (n, 2)."""
-        rings = [ring for rings in self.polygons for ring in rings]
-        begin = np.concatenate([ring[:-1] for ring in rings])
-        return begin, np.concatenate([ring[1:] for ring in rings]) - begin
+    def _all_edges(self) -> tuple[Floats, Floats]:
+        return _edges([ring for rings in self.polygons for ring in rings])
+
+
+def _edges(rings: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """(begin, end) of all edges of some rings, each (n, 2)."""
+    return np.concatenate([r[:-1] for r in rings]), np.concatenate([r[1:] for r in rings])
+
+
+def _is_inside(points: Floats, begin: Floats, end: Floats) -> npt.NDArray[np.bool_]:
+    """Whether a ray from each point towards +x crosses an odd number of edges."""
+    x, y = points[:, :1], points[:, 1:]
+    crosses = (y < begin[:, 1]) != (y < end[:, 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (y - begin[:, 1]) / (end - begin)[:, 1]
+        at = begin[:, 0] + share * (end - begin)[:, 0]
+    odd: npt.NDArray[np.bool_] = (crosses & (x < at)).sum(axis=1) % 2 == 1
+    return odd
 
 
 class AreaFilter:
@@ -177,10 +190,12 @@ def read_area(
     """
     path = Path(path)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        document = json.loads(path.read_text(encoding="utf-8-sig"))
+        polygons = tuple(_polygons(document, path))
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"the area {path} cannot be read as GeoJSON ({error})") from None
-    polygons = tuple(_polygons(document, path))
     if not polygons:
         raise InputError(f"the area {path} holds no polygon: draw one around what is wanted")
     if model_crs is None:
@@ -227,7 +242,7 @@ def _rings(value: Any, path: Path) -> tuple[Floats, ...]:
     for positions in _listed(value, path):
         try:
             ring = np.array([position[:2] for position in positions], np.float64).reshape(-1, 2)
-        except (TypeError, ValueError):
+        except (KeyError, TypeError, ValueError):
             raise InputError(
                 f"the area {path} has a position that is not two numbers: export it again"
             ) from None

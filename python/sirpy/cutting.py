@@ -98,7 +98,7 @@ def cut(
         if region.area is not None:
             seeing = AreaFilter(region.area, scene)
         if grid is None:
-            grid = plan(scene, memory=memory, overlap=overlap, region=region).grid
+            grid = plan(scene, memory=memory, overlap=overlap, region=region, images=images).grid
         del scene
     layout = Layout(grid, overlap, region)
     tasks, left_out = _check_inputs(images, model, layout, seeing, format, undistort)

@@ -133,9 +133,8 @@ def _read_rois(path: Path) -> dict[str, Rectangle]:
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.startswith("#"):
             continue
-        # A name may hold blanks.
-        name, _, rectangle = line.strip().rpartition(" ")
-        name = name.strip()
+        *names, rectangle = line.strip().rsplit(None, 1)  # a name may hold blanks
+        name = names[0] if names else ""
         if not name or name in rois:
             what = f"names {name} twice" if name else "has no name"
             raise InputError(

@@ -188,6 +188,7 @@ def test_every_kind_of_geojson(tmp_path: Path, document: Any) -> None:
     ("document", "message"),
     [
         ("{", "cannot be read as GeoJSON"),
+        ("[" * 100_000, "cannot be read as GeoJSON"),
         ("[]", "holds a value where a Polygon"),
         ({"type": "Point", "coordinates": [0, 0]}, "holds a Point where a Polygon"),
         ({"type": "FeatureCollection", "features": []}, "holds no polygon"),

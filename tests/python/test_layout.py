@@ -37,7 +37,7 @@ def test_cores_tile_the_region_and_files_hold_them(
 
 
 def test_a_list_names_single_images_and_the_rest_has_the_common_region(tmp_path: Path) -> None:
-    (tmp_path / "list.txt").write_text("# name and region\nb 1.jpg 5,6,7,8\n\nc.jpg  0,0,1,1\n")
+    (tmp_path / "list.txt").write_text("# name and region\nb 1.jpg 5,6,7,8\n\nc.jpg\t0,0,1,1\n")
     region = read_region("1,2,3,4", tmp_path / "list.txt")
     assert region.roi_of("a.jpg") == Rectangle(1, 2, 3, 4)
     assert region.roi_of("b 1.jpg") == Rectangle(5, 6, 7, 8)
