@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from sirpy.cutting import _native_image
+from sirpy.layout import Layout
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
 from sirpy.workspace import NativeImage
@@ -18,12 +18,12 @@ def cut_model(
     names = ["a.jpg", "sub/b.jpg", "c.jpg"]
     cameras = [camera("OPENCV", 4), camera("PINHOLE", 2), camera("OPENCV", 4)]
     native = undistorted_model(model_of(names, cameras))
-    natives = [
-        _native_image(
-            image.name, image.name[:-4], "png", native.camera(image.camera_id), grid, overlap
-        )
-        for image in (native.find_image_with_name(name) for name in sorted(names))
-    ]
+    layout = Layout(grid, overlap)
+    natives = []
+    for name in sorted(names):
+        target = native.camera(native.find_image_with_name(name).camera_id)
+        cut = layout.native_image(name, (target.width, target.height))
+        natives.append(layout.named(cut, name[:-4], "png"))
     return native, natives, sub_image_model(native, natives)
 
 
