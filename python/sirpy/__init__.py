@@ -1,7 +1,8 @@
 """sirpy: dense 3D reconstruction at native resolution by sub-image recapture.
 
 Each stage is a function, and a command of the same name: `sparse`, `plan`, `cut`, `views`, `stereo`, `fuse`,
-`report`; `reconstruct` runs them all. They are imported at use, so that `import sirpy` is quick.
+`report`; `reconstruct` runs them all. `recapture` gives one rectangle of one photograph. They are imported at
+use, so that `import sirpy` is quick.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from sirpy.layout import Region
     from sirpy.pipeline import reconstruct
     from sirpy.planning import plan
+    from sirpy.recapturing import recapture
     from sirpy.rectangle import Grid, Rectangle
     from sirpy.sparse_model import read_model, sparse
     from sirpy.view_selection import views
@@ -48,6 +50,7 @@ _HOME = {
     "read_area": "area",
     "read_model": "sparse_model",
     "read_window": "windows",
+    "recapture": "recapturing",
     "reconstruct": "pipeline",
     "report": "html_report",
     "sparse": "sparse_model",
@@ -70,6 +73,7 @@ __all__ = [
     "read_area",
     "read_model",
     "read_window",
+    "recapture",
     "reconstruct",
     "report",
     "sparse",

@@ -4,12 +4,13 @@ models."""
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Literal, get_args
 
 import pycolmap
 
+from sirpy import _core
 from sirpy.area import AreaFilter
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
@@ -18,11 +19,15 @@ from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undis
 from sirpy.model_files import model_identity, read_model
 from sirpy.native_scene import native_scene
 from sirpy.photographs import (
+    Bands,
+    Encoding,
+    Interpolation,
     Photograph,
     check_folders,
     check_names,
     open_photograph,
-    recapture_photograph,
+    recapture_to_files,
+    white_level,
 )
 from sirpy.planning import plan
 from sirpy.progress import Progress
@@ -30,19 +35,63 @@ from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
 from sirpy.workspace import LeftOut, NativeImage, Workspace, check_writable
 
-Format = Literal["jpg", "png"]
+Format = Literal["jpg", "png", "tif"]
 
 # To be raised when the same inputs and options begin to give other files.
 _VERSION = 2
 
 
 @dataclass(frozen=True)
+class PixelOptions:
+    """How pixels are read, resampled and written."""
+
+    bands: Bands = "color"
+    """"color": grey or RGB; "all": alpha and infrared too."""
+    interpolation: Interpolation = "bilinear"
+    """Between the pixels of a photograph; without lens distortion nothing is resampled."""
+    format: Format | None = None
+    """Of the sub-images; None keeps JPEG, and makes PNG of everything else, TIFF where PNG cannot
+    hold the bands. 16 bit stays 16 bit."""
+    encoding: Encoding = field(default_factory=Encoding)
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("bands", self.bands, get_args(Bands)),
+            ("interpolation", self.interpolation, get_args(Interpolation)),
+            ("format", self.format, (None, *get_args(Format))),
+        ):
+            if value not in choices:
+                known = ", ".join(str(choice) for choice in choices if choice)
+                raise InputError(f"{name} = {value!r} is not possible: it must be one of {known}")
+
+    def extension(self, photograph: Photograph) -> str:
+        """Of the sub-images of a photograph. Raises InputError where `format` cannot hold it."""
+        possible = {
+            "jpg": photograph.bits == 8 and photograph.channels in (1, 3),
+            "png": photograph.channels in (1, 3) or (photograph.channels <= 4 and photograph.alpha),
+            "tif": True,
+        }
+        if self.format is None:
+            if photograph.format == "JPEG":
+                return "jpg"
+            return "png" if possible["png"] else "tif"
+        if not possible[self.format]:
+            bits, channels = photograph.bits, photograph.channels
+            raise InputError(
+                f"{photograph.path} has {channels} channels of {bits} bits, which a {self.format} "
+                "cannot hold: choose tif, or leave the format out"
+            )
+        return self.format
+
+
+@dataclass(frozen=True)
 class _Task:
-    """One photograph, its camera in the model, and how its undistorted image is cut."""
+    """One photograph, its camera in the model, its mask, and how its undistorted image is cut."""
 
     photograph: Photograph
     camera: pycolmap.Camera
     native: NativeImage
+    mask: Photograph | None
 
 
 def cut(
@@ -55,8 +104,8 @@ def cut(
     identity: str | None = None,
     overlap: int = 0,
     region: Region = Region(),
-    format: Format | None = None,
-    jpeg_quality: int = 95,
+    masks: Path | str | None = None,
+    pixels: PixelOptions = PixelOptions(),
     undistort: UndistortOptions = UndistortOptions(),
     progress: Progress = Progress(),
 ) -> Workspace:
@@ -75,17 +124,15 @@ def cut(
         identity: tells whether a model that was read already is the same as in an earlier run.
         overlap: extra pixels on each side of a sub-image.
         region: what of the photographs is cut; all of it by default.
-        format: of the sub-images; None keeps JPEG and PNG, and makes PNG of everything else.
-        jpeg_quality: 1 to 100.
+        masks: folder of masks, black where a photograph is not to be used: NAME.png for the
+            photograph NAME, as COLMAP names them. They are undistorted and cut with it.
 
     Raises:
-        InputError: nothing was written: no usable photograph, a size that differs from its
-        camera's, a
-            grid larger than an image, an unsafe name, a bad option, a region outside an image.
+        InputError: nothing was written: no usable photograph, a grid larger than an image, a
+            region outside an image, an unsafe name, a bad option.
         OutputError: the output folder cannot be written.
     """
     images, output = Path(images), Path(output)
-    _check_options(format, jpeg_quality)
     check_folders(images, output)
     if not isinstance(model, pycolmap.Reconstruction):
         identity = model_identity(Path(model))
@@ -100,8 +147,9 @@ def cut(
         if grid is None:
             grid = plan(scene, memory=memory, overlap=overlap, region=region, images=images).grid
         del scene
+    inputs = _Inputs(images, None if masks is None else Path(masks), pixels)
     layout = Layout(grid, overlap, region)
-    tasks, left_out = _check_inputs(images, model, layout, seeing, format, undistort)
+    tasks, left_out = _check_inputs(inputs, model, layout, seeing, undistort)
     del seeing
     if region.area is not None:
         count = sum(len(task.native.sub_images) for task in tasks)
@@ -115,8 +163,9 @@ def cut(
             _VERSION,
             identity,
             [(asdict(task.native), file_identity(task.photograph.path)) for task in tasks],
+            [task.mask and file_identity(task.mask.path) for task in tasks],
             [out.name for out in left_out],
-            [format, jpeg_quality],
+            asdict(pixels),
             asdict(undistort),
         ),
     )
@@ -125,7 +174,7 @@ def cut(
         return workspace
     for out in left_out:
         progress.note(f"{out.name} is left out: {out.reason}")
-    natives, damaged = _cut_photographs(tasks, workspace, jpeg_quality, undistort, progress)
+    natives, damaged = _cut_photographs(tasks, workspace, pixels, undistort, progress)
     left_out = sorted(left_out + damaged, key=lambda out: out.name)
     if not natives:
         raise _nothing_left(left_out)
@@ -136,30 +185,64 @@ def cut(
     return workspace
 
 
-def _check_options(format: str | None, jpeg_quality: int) -> None:
-    if format not in (None, "jpg", "png"):
-        raise InputError(f"format = {format!r} is not possible: it must be 'jpg' or 'png'")
-    if not 1 <= jpeg_quality <= 100:
-        raise InputError(f"jpeg_quality = {jpeg_quality} is not possible: it must be 1 to 100")
+@dataclass(frozen=True)
+class _Inputs:
+    """Where photographs and masks are, and how they are read."""
+
+    images: Path
+    masks: Path | None
+    pixels: PixelOptions
+
+    def __post_init__(self) -> None:
+        if not self.images.is_dir():
+            raise InputError(
+                f"there is no folder {self.images}: give the folder that holds the photographs"
+            )
+        if self.masks is not None and not self.masks.is_dir():
+            raise InputError(
+                f"there is no folder {self.masks}: give the folder that holds the masks"
+            )
+
+    def photograph(self, name: str, camera: pycolmap.Camera) -> Photograph:
+        """Raises InputError when it cannot be used with its camera."""
+        return self._of_size(open_photograph(self.images / name, self.pixels.bands), camera)
+
+    def mask(self, name: str, camera: pycolmap.Camera) -> Photograph | None:
+        """None where the photograph has no mask; raises InputError as `photograph`."""
+        if self.masks is None:
+            return None
+        # COLMAP appends .png to the name; of a PNG the mask may have the name itself.
+        candidates = [f"{name}.png", *([name] if name.lower().endswith(".png") else [])]
+        for candidate in candidates:
+            if (self.masks / candidate).exists():
+                return self._of_size(open_photograph(self.masks / candidate), camera)
+        return None
+
+    @staticmethod
+    def _of_size(photograph: Photograph, camera: pycolmap.Camera) -> Photograph:
+        if (photograph.width, photograph.height) != (camera.width, camera.height):
+            raise InputError(
+                f"{photograph.path} has {photograph.width}x{photograph.height} pixels, but its "
+                f"camera {camera.camera_id} in the model {camera.width}x{camera.height}: give the "
+                "photographs that the model was solved with, or solve it again"
+            )
+        return photograph
 
 
 def _check_inputs(
-    images: Path,
+    inputs: _Inputs,
     model: pycolmap.Reconstruction,
     layout: Layout,
     seeing: AreaFilter | None,
-    format: Format | None,
     undistort: UndistortOptions,
 ) -> tuple[list[_Task], list[LeftOut]]:
-    """What is to be done, in order of names, and the photographs that cannot be opened.
+    """What is to be done, in order of names, and the photographs that cannot be used.
 
     `seeing` takes away the sub-images that do not see the area of the layout's region, if it has one.
     """
     posed = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
     if not posed:
         raise InputError("the model has no image with a pose: solve the cameras again")
-    if not images.is_dir():
-        raise InputError(f"there is no folder {images}: give the folder that holds the photographs")
     names = [image.name for image in posed]
     check_names(names)
     layout.check_names(names)
@@ -177,19 +260,13 @@ def _check_inputs(
             if not native.sub_images:
                 continue
         try:
-            photograph = open_photograph(images / image.name)
+            photograph = inputs.photograph(image.name, camera)
+            mask = inputs.mask(image.name, camera)
         except InputError as error:
             left_out.append(LeftOut(image.name, str(error)))
             continue
-        if (photograph.width, photograph.height) != (camera.width, camera.height):
-            raise InputError(
-                f"photograph {photograph.path} has {photograph.width}x{photograph.height} pixels, "
-                f"but its camera {camera.camera_id} in the model {camera.width}x{camera.height}: "
-                "give the photographs that the model was solved with, or solve it again"
-            )
-        extension = format or ("jpg" if photograph.format == "JPEG" else "png")
-        native = layout.named(native, stems[image.name], extension)
-        tasks.append(_Task(photograph, camera, native))
+        native = layout.named(native, stems[image.name], inputs.pixels.extension(photograph))
+        tasks.append(_Task(photograph, camera, replace(native, masked=mask is not None), mask))
     if seeing is not None and not tasks and not left_out:
         raise seeing.nothing_left()
     if not tasks:
@@ -236,13 +313,13 @@ def _is_complete(workspace: Workspace) -> bool:
     since?"""
     if not workspace.index.exists():
         return False
-    return all(workspace.image(sub).exists() for _, sub in workspace.sub_images())
+    return all(path.exists() for one in workspace.natives for path in _paths(one, workspace))
 
 
 def _cut_photographs(
     tasks: list[_Task],
     workspace: Workspace,
-    jpeg_quality: int,
+    pixels: PixelOptions,
     undistort: UndistortOptions,
     progress: Progress,
 ) -> tuple[list[NativeImage], list[LeftOut]]:
@@ -251,42 +328,47 @@ def _cut_photographs(
     lens: tuple[int, Undistortion] | None = None
     with progress.stage("cut", len(tasks), "photograph") as steps:
         for task in tasks:
-            if not all(workspace.image(sub).exists() for sub in task.native.sub_images):
-                # Neighbours mostly share a camera; keeping one lens bounds the memory.
-                if lens is None or lens[0] != task.camera.camera_id:
-                    lens = task.camera.camera_id, undistortion(task.camera, undistort)
-                try:
-                    _cut_photograph(task, workspace, jpeg_quality, lens[1], progress)
-                except InputError as error:
-                    for sub in task.native.sub_images:
-                        workspace.image(sub).unlink(missing_ok=True)
-                    damaged.append(LeftOut(task.native.name, str(error)))
-                    progress.note(f"{task.native.name} is left out: {error}")
-                    steps.advance()
-                    continue
-            natives.append(task.native)
+            try:
+                if not all(path.exists() for path in _paths(task.native, workspace)):
+                    # Neighbours mostly share a camera; keeping one lens bounds the memory.
+                    if lens is None or lens[0] != task.camera.camera_id:
+                        lens = task.camera.camera_id, undistortion(task.camera, undistort)
+                    _cut_photograph(task, workspace, pixels, lens[1].lens, progress)
+                natives.append(replace(task.native, white=white_level(task.photograph)))
+            except InputError as error:
+                for path in _paths(task.native, workspace):
+                    path.unlink(missing_ok=True)
+                damaged.append(LeftOut(task.native.name, str(error)))
+                progress.note(f"{task.native.name} is left out: {error}")
             steps.advance()
     return natives, damaged
+
+
+def _paths(native: NativeImage, workspace: Workspace) -> list[Path]:
+    """The files that are cut of a native image."""
+    paths = [workspace.image(sub) for sub in native.sub_images]
+    return paths + [workspace.mask(sub) for sub in native.sub_images if native.masked]
 
 
 def _cut_photograph(
     task: _Task,
     workspace: Workspace,
-    jpeg_quality: int,
-    how: Undistortion,
+    pixels: PixelOptions,
+    lens: _core.LensMap | None,
     progress: Progress,
 ) -> None:
     if task.photograph.note:
         progress.note(task.photograph.note)
-    files = [
-        (
-            workspace.image(sub),
-            sub.stored.x0,
-            sub.stored.y0,
-            sub.stored.width,
-            sub.stored.height,
-        )
-        for sub in task.native.sub_images
-    ]
-    size = task.native.width, task.native.height
-    recapture_photograph(task.photograph, how.lens, size, files, jpeg_quality)
+    native = task.native
+    size = native.width, native.height
+    recapture_to_files(
+        task.photograph,
+        lens,
+        size,
+        [(workspace.image(sub), sub.stored) for sub in native.sub_images],
+        interpolation=pixels.interpolation,
+        encoding=pixels.encoding,
+    )
+    if task.mask is not None:
+        masks = [(workspace.mask(sub), sub.stored) for sub in native.sub_images]
+        recapture_to_files(task.mask, lens, size, masks, interpolation="nearest")

@@ -204,8 +204,8 @@ def _held_bytes(images: Path, names: list[str]) -> tuple[dict[str, int], tuple[s
         except InputError as error:
             broken.append(str(error))
             continue
-        per_pixel: float = getattr(photograph, "held_bytes_per_pixel", 0)
-        held[name] = int(per_pixel * photograph.width * photograph.height)
+        pixels = photograph.width * photograph.height
+        held[name] = int(photograph.held_bytes_per_pixel * pixels)
     notes = []
     if broken:
         notes.append(f"{len(broken)} photographs would be left out; the first one: {broken[0]}")

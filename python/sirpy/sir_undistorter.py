@@ -49,11 +49,12 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
     if options.num_threads > 0:
         os.environ["OMP_NUM_THREADS"] = str(options.num_threads)  # read when the core is loaded
     from sirpy.colmap_workspace import write_dense_folder
-    from sirpy.cutting import cut
+    from sirpy.cutting import PixelOptions, cut
     from sirpy.files import fingerprint
     from sirpy.layout import read_region
     from sirpy.lens import UndistortOptions
     from sirpy.model_files import model_identity, read_model
+    from sirpy.photographs import Encoding
 
     undistort = UndistortOptions(
         **{field.name: getattr(options, field.name) for field in fields(UndistortOptions)}
@@ -77,7 +78,13 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         grid=_grid(options, model, undistort, region),
         overlap=options.sub_image_overlap,
         region=region,
-        jpeg_quality=options.jpeg_quality,
+        masks=options.mask_path,
+        pixels=PixelOptions(
+            options.bands,
+            options.interpolation,
+            options.image_format,
+            Encoding(options.jpeg_quality, options.jpeg_chroma),
+        ),
         undistort=undistort,
         progress=progress,
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 from sirpy.errors import InputError
 
@@ -35,6 +35,7 @@ class Options:
     input_path: Path
     output_path: Path
     image_list_path: Path | None
+    mask_path: Path | None
     num_patch_match_src_images: int
     blank_pixels: float
     min_scale: float
@@ -45,6 +46,10 @@ class Options:
     roi_max_x: float
     roi_max_y: float
     jpeg_quality: int
+    jpeg_chroma: Literal["444", "422", "420"]
+    image_format: Literal["jpg", "png", "tif"] | None
+    bands: Literal["color", "all"]
+    interpolation: Literal["nearest", "bilinear", "bicubic", "lanczos"]
     num_threads: int
     sub_image_columns: int | None
     sub_image_rows: int | None
@@ -106,7 +111,22 @@ def _parser() -> argparse.ArgumentParser:
     paths.add_argument(
         "--copy_policy", default="copy", help="sub-images are always files of their own"
     )
-    paths.add_argument("--jpeg_quality", type=int, default=-1, help="1 to 100; -1 is 95")
+    paths.add_argument("--mask_path", type=Path, help="folder of masks NAME.png, cut with them")
+    pixels = parser.add_argument_group("pixels")
+    pixels.add_argument("--jpeg_quality", type=int, default=-1, help="1 to 100; -1 is 95")
+    pixels.add_argument("--jpeg_chroma", default="444", choices=("444", "422", "420"))
+    pixels.add_argument(
+        "--image_format", choices=("jpg", "png", "tif"), help="of sub-images; JPEG stays JPEG"
+    )
+    pixels.add_argument(
+        "--bands", default="color", choices=("color", "all"), help="all keeps alpha and infrared"
+    )
+    pixels.add_argument(
+        "--interpolation",
+        default="bilinear",
+        choices=("nearest", "bilinear", "bicubic", "lanczos"),
+        help="COLMAP's is bilinear",
+    )
     paths.add_argument(
         "--num_patch_match_src_images", type=int, default=20, help="in patch-match.cfg"
     )

@@ -5,6 +5,7 @@ OUT/stages.json          fingerprint of inputs and options of each stage: what m
 OUT/sfm/                 decimated photographs, database and model of structure from motion
 OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, native resolution)
 OUT/images/              the sub-images NAME_rRR_cCC.ext
+OUT/masks/               their masks NAME_rRR_cCC.ext.png, where the photographs have some
 OUT/sparse/              COLMAP model of the sub-images
 OUT/clusters.json, OUT/clusters/   groups of sub-images, when asked for
 OUT/views.json           sources, depth range and source windows of each sub-image
@@ -34,7 +35,7 @@ Pass = Literal["photometric", "geometric"]
 # A stage that has to be done again takes with it what later stages made of its output.
 _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
     "sparse": ("sfm",),
-    "cut": ("sir.json", "native", "images", "sparse", "clusters.json", "clusters"),
+    "cut": ("sir.json", "native", "images", "masks", "sparse", "clusters.json", "clusters"),
     "views": ("views.json", "stereo/patch-match.cfg", "stereo/fusion.cfg"),
     "stereo": (
         "stereo/depth_maps",
@@ -64,12 +65,18 @@ class SubImage:
 @dataclass(frozen=True)
 class NativeImage:
     """An undistorted native image: size in pixels and the sub-images of the region that is cut, row by
-    row; of an area those that see it."""
+    row; of an area those that see it.
+
+    `white` is the sample value that shows as white, 255 unless samples have 16 bits; `masked` says
+    that its sub-images have masks.
+    """
 
     name: str
     width: int
     height: int
     sub_images: tuple[SubImage, ...]
+    white: int = 255
+    masked: bool = False
 
     @property
     def rectangle(self) -> Rectangle:
@@ -194,6 +201,14 @@ class Workspace:
     def image(self, sub_image: SubImage) -> Path:
         return self.images / sub_image.name
 
+    @property
+    def masks(self) -> Path:
+        return self.folder / "masks"
+
+    def mask(self, sub_image: SubImage) -> Path:
+        """Black where pixels are not to be used; named as COLMAP names masks."""
+        return self.masks / f"{sub_image.name}.png"
+
     def depth_map(self, sub_image: SubImage, of_pass: Pass) -> Path:
         return self.stereo / "depth_maps" / f"{sub_image.name}.{of_pass}.bin"
 
@@ -239,6 +254,8 @@ class Workspace:
                         "name": native.name,
                         "width": native.width,
                         "height": native.height,
+                        "white": native.white,
+                        "masked": native.masked,
                         "sub_images": [
                             {
                                 "name": sub.name,
@@ -288,9 +305,24 @@ class Workspace:
                     )
                     for sub in image["sub_images"]
                 ),
+                image["white"],
+                image["masked"],
             )
             for image in self._index["images"]
         )
+
+    def native(self, name: str) -> NativeImage:
+        """Raises InputError when the workspace has no native image of that name."""
+        try:
+            return self._natives_by_name[name]
+        except KeyError:
+            raise InputError(
+                f"{self.folder} has no photograph {name}: give a name that its sir.json has"
+            ) from None
+
+    @cached_property
+    def _natives_by_name(self) -> dict[str, NativeImage]:
+        return {native.name: native for native in self.natives}
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
@@ -340,6 +372,7 @@ class Workspace:
     def _forget_index(self) -> None:
         self.__dict__.pop("_index", None)
         self.__dict__.pop("natives", None)
+        self.__dict__.pop("_natives_by_name", None)
 
     def fingerprint_of(self, stage: str) -> str:
         """The fingerprint that `stage` was begun with; empty when it never was."""

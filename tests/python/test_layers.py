@@ -16,7 +16,7 @@ LAYERS = """
     photographs exif ply pictures
     flight truth synthetic
     model_files self_calibration structure_from_motion sparse_model
-    lens sub_image_model native_scene
+    lens recapturing sub_image_model native_scene
     view_selection area layout planning
     cutting windows
     clustering
