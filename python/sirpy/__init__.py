@@ -18,11 +18,14 @@ __version__ = "0.1.0"
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 if TYPE_CHECKING:
+    from sirpy.area import read_area
+    from sirpy.clustering import clusters
     from sirpy.cutting import cut
     from sirpy.dense_stereo import StereoOptions, stereo
     from sirpy.errors import SirpyError
     from sirpy.fusion import FusionOptions, fuse
     from sirpy.html_report import report
+    from sirpy.layout import Region
     from sirpy.pipeline import reconstruct
     from sirpy.planning import plan
     from sirpy.recapturing import recapture
@@ -36,12 +39,15 @@ _HOME = {
     "FusionOptions": "fusion",
     "Grid": "rectangle",
     "Rectangle": "rectangle",
+    "Region": "layout",
     "SirpyError": "errors",
     "StereoOptions": "dense_stereo",
     "Workspace": "workspace",
+    "clusters": "clustering",
     "cut": "cutting",
     "fuse": "fusion",
     "plan": "planning",
+    "read_area": "area",
     "read_model": "sparse_model",
     "read_window": "windows",
     "recapture": "recapturing",
@@ -56,12 +62,15 @@ __all__ = [
     "FusionOptions",
     "Grid",
     "Rectangle",
+    "Region",
     "SirpyError",
     "StereoOptions",
     "Workspace",
+    "clusters",
     "cut",
     "fuse",
     "plan",
+    "read_area",
     "read_model",
     "read_window",
     "recapture",

@@ -23,6 +23,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    # --cluster_size as COLMAP would write it, or --cluster-size.
+    context_settings={"token_normalize_func": lambda token: token.replace("_", "-")},
 )
 
 Images = Annotated[Path, typer.Argument(help="Folder of photographs.", show_default=False)]
@@ -37,6 +39,36 @@ Model = Annotated[
 Memory = Annotated[str, typer.Option(help="What the whole process tree may take: 8GB, 500MB.")]
 Columns = Annotated[int | None, typer.Option(help="Columns of sub-images; chosen if not given.")]
 Rows = Annotated[int | None, typer.Option(help="Rows of sub-images; chosen if not given.")]
+ColumnCuts = Annotated[
+    str | None,
+    typer.Option(help="Instead of --columns: where they begin, native pixels: 900,2000."),
+]
+RowCuts = Annotated[
+    str | None, typer.Option(help="Instead of --rows: where they begin, native pixels: 900,2000.")
+]
+Overlap = Annotated[int, typer.Option(help="Extra pixels around each sub-image.")]
+Roi = Annotated[
+    str | None,
+    typer.Option(
+        help="X0,Y0,WIDTH,HEIGHT of the undistorted photographs, pixels: only this is cut."
+    ),
+]
+RoiList = Annotated[
+    Path | None,
+    typer.Option(help="File of lines NAME X0,Y0,WIDTH,HEIGHT: the same for single photographs."),
+]
+Area = Annotated[
+    Path | None,
+    typer.Option(help="GeoJSON polygons on the ground: only sub-images that see them are cut."),
+]
+AreaCrs = Annotated[
+    str | None,
+    typer.Option(help="CRS of --area, e.g. EPSG:25832; what the file says if not given."),
+]
+ModelCrs = Annotated[
+    str | None,
+    typer.Option(help="CRS of the model; without it --area has the model's coordinates."),
+]
 NumSources = Annotated[int, typer.Option(help="Photographs that each is matched against, at most.")]
 Threads = Annotated[int, typer.Option(help="0: one for each core.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only results and errors.")]
@@ -52,11 +84,19 @@ def reconstruct(
     memory: Memory = _MEMORY,
     columns: Columns = None,
     rows: Rows = None,
+    column_cuts: ColumnCuts = None,
+    row_cuts: RowCuts = None,
+    roi: Roi = None,
+    roi_list: RoiList = None,
+    area: Area = None,
+    area_crs: AreaCrs = None,
+    model_crs: ModelCrs = None,
     num_sources: NumSources = 8,
     threads: Threads = 0,
     quiet: Quiet = False,
 ) -> None:
     """Photographs to a dense cloud: every stage, in the memory that you allow."""
+    from sirpy.layout import read_region
     from sirpy.memory import parse_memory
     from sirpy.pipeline import reconstruct as run
     from sirpy.progress import make_progress
@@ -66,7 +106,8 @@ def reconstruct(
         output,
         model=model,
         memory=parse_memory(memory),
-        grid=_grid(columns, rows),
+        grid=_grid(columns, rows, column_cuts, row_cuts),
+        region=read_region(roi, roi_list, area, area_crs, model_crs),
         num_sources=num_sources,
         threads=threads,
         progress=make_progress(quiet),
@@ -107,25 +148,43 @@ def sparse(
 def plan(
     model: Annotated[Path, typer.Argument(help="COLMAP model, in native pixels.")],
     memory: Memory = _MEMORY,
+    images: Annotated[
+        Path | None, typer.Option(help="Folder of the photographs, to look at their headers.")
+    ] = None,
     columns: Columns = None,
     rows: Rows = None,
+    column_cuts: ColumnCuts = None,
+    row_cuts: RowCuts = None,
+    overlap: Overlap = 0,
+    roi: Roi = None,
+    roi_list: RoiList = None,
+    area: Area = None,
+    area_crs: AreaCrs = None,
+    model_crs: ModelCrs = None,
     num_sources: NumSources = 8,
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
-    """The grid for a memory budget, and the peak memory of each stage."""
-    from sirpy.memory import gigabytes, parse_memory
+    """The grid for a memory budget; what will be written, and what each stage will need."""
+    from dataclasses import asdict
+
+    from sirpy.layout import read_region
+    from sirpy.memory import parse_memory
+    from sirpy.plan_table import print_plan
     from sirpy.planning import plan as run
 
     found = run(
-        model, memory=parse_memory(memory), grid=_grid(columns, rows), num_sources=num_sources
+        model,
+        memory=parse_memory(memory),
+        grid=_grid(columns, rows, column_cuts, row_cuts),
+        overlap=overlap,
+        region=read_region(roi, roi_list, area, area_crs, model_crs),
+        images=images,
+        num_sources=num_sources,
     )
     if as_json:
-        grid = {"columns": found.grid.columns, "rows": found.grid.rows}
-        print(json.dumps({"grid": grid, "predicted_peak": found.predicted_peak}))
+        print(json.dumps({**asdict(found), "predicted_peak": found.predicted_peak}))
         return
-    print(f"grid: {found.grid} sub-images of each photograph")
-    for stage, peak in found.predicted_peak.items():
-        print(f"{stage:8} {gigabytes(peak):>10}")
+    print_plan(found, parse_memory(memory))
 
 
 @app.command()
@@ -136,7 +195,14 @@ def cut(
     memory: Memory = _MEMORY,
     columns: Columns = None,
     rows: Rows = None,
-    overlap: Annotated[int, typer.Option(help="Extra pixels around each sub-image.")] = 0,
+    column_cuts: ColumnCuts = None,
+    row_cuts: RowCuts = None,
+    overlap: Overlap = 0,
+    roi: Roi = None,
+    roi_list: RoiList = None,
+    area: Area = None,
+    area_crs: AreaCrs = None,
+    model_crs: ModelCrs = None,
     masks: Annotated[
         Path | None, typer.Option(help="Folder of masks NAME.png, black where not to be used.")
     ] = None,
@@ -154,6 +220,7 @@ def cut(
     """Recapture: undistorts the photographs and cuts them into sub-images with their own cameras."""
     from sirpy.cutting import PixelOptions
     from sirpy.cutting import cut as run
+    from sirpy.layout import read_region
     from sirpy.memory import parse_memory
     from sirpy.photographs import Encoding
     from sirpy.progress import make_progress
@@ -162,9 +229,10 @@ def cut(
         images,
         model,
         output,
-        grid=_grid(columns, rows),
+        grid=_grid(columns, rows, column_cuts, row_cuts),
         memory=parse_memory(memory),
         overlap=overlap,
+        region=read_region(roi, roi_list, area, area_crs, model_crs),
         masks=masks,
         # The option classes check the words.
         pixels=PixelOptions(
@@ -194,6 +262,20 @@ def views(
     folder = Workspace(workspace)
     run(folder, num_sources=num_sources, halo=halo, progress=make_progress(quiet))
     print(f"views: {folder.views}")
+
+
+@app.command()
+def clusters(
+    workspace: WorkspaceFolder,
+    cluster_size: Annotated[int, typer.Option(help="Sub-images of a cluster, at most.")] = 20,
+) -> None:
+    """Groups of overlapping sub-images that can be reconstructed one by one."""
+    from sirpy.clustering import clusters as run
+    from sirpy.workspace import Workspace
+
+    folder = Workspace(workspace)
+    found = run(folder, cluster_size=cluster_size)
+    print(f"clusters: {folder.clusters} ({len(found)} of at most {cluster_size} sub-images)")
 
 
 @app.command()
@@ -292,9 +374,15 @@ def _report_left_out(left_out: Sequence[LeftOut]) -> None:
         )
 
 
-def _grid(columns: int | None, rows: int | None) -> Grid | None:
+def _grid(
+    columns: int | None, rows: int | None, column_cuts: str | None, row_cuts: str | None
+) -> Grid | None:
+    from sirpy.layout import parse_cuts
     from sirpy.rectangle import Grid
 
+    xs, ys = parse_cuts(column_cuts, "--column-cuts"), parse_cuts(row_cuts, "--row-cuts")
+    if xs or ys:
+        return Grid.with_cuts(xs, ys, columns=columns, rows=rows)
     if columns is None and rows is None:
         return None
     if columns is None or rows is None:

@@ -11,8 +11,10 @@ from typing import Literal, get_args
 import pycolmap
 
 from sirpy import _core
+from sirpy.area import AreaFilter
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
+from sirpy.layout import Layout, Region
 from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
 from sirpy.model_files import model_identity
@@ -32,7 +34,7 @@ from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model
-from sirpy.workspace import LeftOut, NativeImage, SubImage, Workspace, check_writable
+from sirpy.workspace import LeftOut, NativeImage, Workspace, check_writable
 
 Format = Literal["jpg", "png", "tif"]
 
@@ -102,6 +104,7 @@ def cut(
     memory: int | None = None,
     identity: str | None = None,
     overlap: int = 0,
+    region: Region = Region(),
     masks: Path | str | None = None,
     pixels: PixelOptions = PixelOptions(),
     undistort: UndistortOptions = UndistortOptions(),
@@ -121,17 +124,16 @@ def cut(
         memory: bytes that all later stages may take; None for no bound.
         identity: tells whether a model that was read already is the same as in an earlier run.
         overlap: extra pixels on each side of a sub-image.
+        region: what of the photographs is cut; all of it by default.
         masks: folder of masks, black where a photograph is not to be used: NAME.png for the
             photograph NAME, as COLMAP names them. They are undistorted and cut with it.
 
     Raises:
-        InputError: nothing was written: no usable photograph, a grid larger than an image, an
-            unsafe name, a bad option.
+        InputError: nothing was written: no usable photograph, a grid larger than an image, a
+            region outside an image, an unsafe name, a bad option.
         OutputError: the output folder cannot be written.
     """
     images, output = Path(images), Path(output)
-    if overlap < 0:
-        raise InputError(f"overlap = {overlap} is not possible: it must be at least 0 pixels")
     check_folders(images, output)
     if isinstance(model, (str, Path)):
         identity = model_identity(Path(model))
@@ -139,10 +141,21 @@ def cut(
         raise ValueError("a model that was read already needs an identity")
     if not isinstance(model, SparseModel):
         model = read_arrays(model)
-    if grid is None:
-        grid = plan(native_scene(undistorted_model(model, undistort)), memory=memory).grid
+    seeing = None
+    if grid is None or region.area is not None:
+        scene = native_scene(undistorted_model(model, undistort))
+        if region.area is not None:
+            seeing = AreaFilter(region.area, scene)
+        if grid is None:
+            grid = plan(scene, memory=memory, overlap=overlap, region=region, images=images).grid
+        del scene
     inputs = _Inputs(images, None if masks is None else Path(masks), pixels)
-    tasks, left_out = _check_inputs(inputs, model, grid, overlap, undistort)
+    layout = Layout(grid, overlap, region)
+    tasks, left_out = _check_inputs(inputs, model, layout, seeing, undistort)
+    del seeing
+    if region.area is not None:
+        count = sum(len(task.native.sub_images) for task in tasks)
+        progress.note(f"area: {len(tasks)} photographs see it, in {count} sub-images")
     workspace = Workspace(output)
     _check_apart(images, workspace)
     check_writable(output)
@@ -151,10 +164,9 @@ def cut(
         fingerprint(
             _VERSION,
             identity,
-            [(task.native.name, file_identity(task.photograph.path)) for task in tasks],
+            [(asdict(task.native), file_identity(task.photograph.path)) for task in tasks],
             [task.mask and file_identity(task.mask.path) for task in tasks],
             [out.name for out in left_out],
-            [grid.columns, grid.rows, overlap],
             asdict(pixels),
             asdict(undistort),
         ),
@@ -222,16 +234,20 @@ class _Inputs:
 def _check_inputs(
     inputs: _Inputs,
     model: SparseModel,
-    grid: Grid,
-    overlap: int,
+    layout: Layout,
+    seeing: AreaFilter | None,
     undistort: UndistortOptions,
 ) -> tuple[list[_Task], list[LeftOut]]:
-    """What is to be done, in order of names, and the photographs that cannot be used."""
+    """What is to be done, in order of names, and the photographs that cannot be used.
+
+    `seeing` takes away the sub-images that do not see the area of the layout's region, if it has one.
+    """
     posed = sorted(model.images, key=lambda image: image.name)
     if not posed:
         raise InputError("the model has no image with a pose: solve the cameras again")
     names = [image.name for image in posed]
     check_names(names)
+    layout.check_names(names)
     stems = _stems(names)
     targets = {
         camera_id: undistorted_camera(model.cameras[camera_id], undistort)
@@ -239,17 +255,22 @@ def _check_inputs(
     }
     tasks, left_out = [], []
     for image in posed:
-        camera = model.camera_of(image)
+        camera, target = model.camera_of(image), targets[image.camera_id]
+        native = layout.native_image(image.name, (target.width, target.height))
+        if seeing is not None:
+            native = seeing(native)
+            if not native.sub_images:
+                continue
         try:
             photograph = inputs.photograph(image.name, camera)
             mask = inputs.mask(image.name, camera)
         except InputError as error:
             left_out.append(LeftOut(image.name, str(error)))
             continue
-        target = targets[image.camera_id]
-        extension = inputs.pixels.extension(photograph)
-        native = _native_image(image.name, stems[image.name], extension, target, grid, overlap)
+        native = layout.named(native, stems[image.name], inputs.pixels.extension(photograph))
         tasks.append(_Task(photograph, camera, replace(native, masked=mask is not None), mask))
+    if seeing is not None and not tasks and not left_out:
+        raise seeing.nothing_left()
     if not tasks:
         raise _nothing_left(left_out)
     return tasks, left_out
@@ -277,25 +298,6 @@ def _stems(names: list[str]) -> dict[str, str]:
                 "them"
             )
     return stems
-
-
-def _native_image(
-    name: str, stem: str, extension: str, camera: pycolmap.Camera, grid: Grid, overlap: int
-) -> NativeImage:
-    native = NativeImage(name, camera.width, camera.height, ())
-    row_digits = max(2, len(str(grid.rows - 1)))
-    column_digits = max(2, len(str(grid.columns - 1)))
-    sub_images = tuple(
-        SubImage(
-            f"{stem}_r{row:0{row_digits}}_c{column:0{column_digits}}.{extension}",
-            row,
-            column,
-            core,
-            core.padded(overlap).intersection(native.rectangle),
-        )
-        for row, column, core in grid.cores(camera.width, camera.height)
-    )
-    return NativeImage(name, camera.width, camera.height, sub_images)
 
 
 def _check_apart(images: Path, workspace: Workspace) -> None:

@@ -113,7 +113,7 @@ def _all_left_out(workspace: Workspace, run: dict[str, Any]) -> list[dict[str, s
 def _numbers(workspace: Workspace, run: dict[str, Any], reasons: dict[str, dict[str, int]]) -> str:
     stages = run.get("stages") or []
     peaks = [stage["measured_peak"] for stage in stages if stage.get("measured_peak")]
-    pixels = sum(native.width * native.height for native in workspace.natives)
+    pixels = sum(sub.core.area for _, sub in workspace.sub_images())
     left_out = len(_all_left_out(workspace, run))
     valid = sum(counts["valid"] for counts in reasons.values())
     total = sum(sum(counts.values()) for counts in reasons.values())
@@ -180,7 +180,8 @@ def _grid(workspace: Workspace) -> str:
     if not workspace.natives:
         return ""
     native = workspace.natives[0]
-    columns = max(sub.column for sub in native.sub_images) + 1
+    columns = len({sub.column for sub in native.sub_images})
+    rows = len({sub.row for sub in native.sub_images})
     factor = overview.decimation(native, _GRID_SIDE)
     image = overview.photograph(workspace, native, factor)
     stroke = native.width / 500
@@ -205,7 +206,7 @@ def _grid(workspace: Workspace) -> str:
     return (
         "<h2>The grid</h2>"
         f"<p>{escape(native.name)}, {native.width} × {native.height} pixels, as "
-        f"{_plural(len(native.sub_images), 'sub-image')} ({columns}x{len(native.sub_images) // columns}) of at most "
+        f"{_plural(len(native.sub_images), 'sub-image')} ({columns}x{rows}) of at most "
         f"{largest[0]} × {largest[1]} pixels.{decimated}</p>"
         '<div class="card">'
         f'<svg viewBox="0 0 {native.width} {native.height}" role="img" '

@@ -14,6 +14,7 @@ from sirpy.dense_stereo import StereoOptions, stereo
 from sirpy.files import write_json
 from sirpy.fusion import FusionOptions, fuse
 from sirpy.html_report import report
+from sirpy.layout import Region
 from sirpy.model_arrays import read_arrays
 from sirpy.model_files import model_identity
 from sirpy.native_scene import native_scene
@@ -48,6 +49,7 @@ def reconstruct(
     model: Path | str | None = None,
     memory: int = DEFAULT_MEMORY,
     grid: Grid | None = None,
+    region: Region = Region(),
     num_sources: int = 8,
     stereo_options: StereoOptions | None = None,
     fusion_options: FusionOptions | None = None,
@@ -64,6 +66,7 @@ def reconstruct(
         model: COLMAP model of the photographs in native pixels; made from the photographs if None.
         memory: bytes that the whole process tree may take.
         grid: of sub-images; chosen for `memory` if None.
+        region: what of the photographs is used; all of it by default.
         num_sources: photographs that each is matched against, at most.
         threads: 0 for one on each core.
 
@@ -91,7 +94,12 @@ def reconstruct(
         log.predicted["sparse"] = predicted_sparse_peak(images, threads_used, memory)
     solved = read_arrays(model)
     chosen = plan(
-        native_scene(undistorted_model(solved)), memory=memory, grid=grid, num_sources=num_sources
+        native_scene(undistorted_model(solved)),
+        memory=memory,
+        grid=grid,
+        region=region,
+        images=images,
+        num_sources=num_sources,
     )
     log.predicted.update(chosen.predicted_peak)
     progress.note(f"plan: {chosen.grid} sub-images of each photograph")
@@ -103,6 +111,7 @@ def reconstruct(
             output,
             identity=model_identity(model),
             grid=chosen.grid,
+            region=region,
             progress=progress,
         )
     del solved

@@ -1,25 +1,29 @@
-"""The plan: the grid for a memory budget, with the peak memory that each stage will need.
+"""The plan: the grid for a memory budget, with what each stage will write and need.
 
 Every stage says what it holds in bytes per pixel; the windows of a candidate grid are found by view selection
 itself, so the prediction knows the sources of this scene. The coarsest grid that fits is chosen: larger
-sub-images waste less on halos.
+sub-images waste less on halos. Times are estimates from what was measured (docs/performance.md).
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from sirpy import _core
-from sirpy.errors import BudgetError
+from sirpy.area import AreaFilter
+from sirpy.errors import BudgetError, InputError
+from sirpy.layout import Layout, Region
 from sirpy.memory import gigabytes
 from sirpy.model_arrays import read_arrays
 from sirpy.native_scene import NativeScene, native_scene
+from sirpy.photographs import open_photograph
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import undistorted_model
-from sirpy.view_selection import SubImageViews, sub_image_views
-from sirpy.workspace import NativeImage, SubImage
+from sirpy.view_selection import check_num_sources, sub_image_views
+from sirpy.workspace import NativeImage
 
 # Python with numpy, pycolmap and rasterio loaded.
 _PROCESS_BYTES = 130_000_000
@@ -31,23 +35,62 @@ _SLACK = 1.1
 # Bands of rows of the photograph, of the undistorted image and of the files that are open: bytes for each pixel
 # of width. The height does not matter.
 _CUT_BYTES_PER_COLUMN = 6000
+# Depth and its inverse 8, normal 12, colour 3; a point 56 by rows and 45 in arrays.
+_FUSE_BYTES = (124, 8)  # per pixel of the core, and of each source window
+_REPORT_BYTES = 320_000_000  # its pictures, whatever the photographs
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
 _MOST_IMAGES = 40  # that a plan looks at; evenly chosen when there are more
 # Pixels that any stereo holds for each pixel of the reference: the reference and about 10 sources, at about 10
 # bytes each, and the maps. For workspaces that are made for other engines.
 _ENGINE_BYTES_PER_PIXEL = 200
 
+# CPU microseconds: per native pixel, of stereo also per source; views per sub-image.
+_CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.04, 0.7, 0.05
+_STEREO_TIME, _STEREO_TIME_OF_A_SOURCE = 2.5, 3.0
+_VIEWS_TIME = 10_000.0
+# Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps in both passes (depth 4, normal
+# 12) and the reason 4; points per pixel, 27 bytes each in its part and again in the cloud.
+_JPEG_BYTES, _PNG_BYTES = 0.5, 2.0
+_MAP_FILES, _MAP_BYTES = 5, 36
+_POINTS_PER_PIXEL, _POINT_BYTES = 0.3, 54
+
+
+@dataclass(frozen=True)
+class StagePlan:
+    """What one stage will do and need."""
+
+    name: str
+    units: int
+    unit: str
+    peak: int  # predicted bytes of the whole process tree
+    cpu_s: float  # estimate
+    wall_s: float  # estimate, on all cores
+    bytes_per_pixel: tuple[int, int] | None = None  # of the reference, and of its source windows
+
 
 @dataclass(frozen=True)
 class Plan:
-    """A grid, and the predicted peak memory (bytes, of the whole process tree) of each stage."""
+    """A grid, what will be written with it, and what each stage will need."""
 
     grid: Grid
-    predicted_peak: dict[str, int]
+    photographs: int
+    megapixels: float  # that are cut, without overlap
+    sub_images: int
+    largest: tuple[int, int]  # (width, height) of the largest sub-image file, pixels
+    source_megapixels: tuple[float, float]  # mean and largest sum of a sub-image's source windows
+    files: int
+    written_bytes: int  # estimate
+    stages: tuple[StagePlan, ...]
+    notes: tuple[str, ...] = ()  # what the user should know about the photographs
+
+    @property
+    def predicted_peak(self) -> dict[str, int]:
+        """Bytes of the whole process tree, by stage."""
+        return {stage.name: stage.peak for stage in self.stages}
 
     @property
     def peak(self) -> int:
-        return max(self.predicted_peak.values())
+        return max(stage.peak for stage in self.stages)
 
 
 def plan(
@@ -55,6 +98,9 @@ def plan(
     *,
     memory: int | None,
     grid: Grid | None = None,
+    overlap: int = 0,
+    region: Region = Region(),
+    images: Path | str | None = None,
     num_sources: int = 8,
     halo: int = 32,
 ) -> Plan:
@@ -64,20 +110,27 @@ def plan(
         model: folder of a COLMAP model in native pixels, or the scene of its undistorted images.
         memory: bytes of the whole process tree; None for no bound.
         grid: of sub-images; chosen if None.
+        overlap, region: as in `cut`.
+        images: folder of the photographs, to look at what their headers say; some formats have to
+            be held while they are read.
         num_sources, halo: as in `views`.
 
     Raises:
         BudgetError: nothing fits; the message says the least memory that would do.
-        InputError: the model cannot be read.
+        InputError: the model cannot be read, or the region or the grid does not fit the images.
     """
+    check_num_sources(num_sources)
     scene = (
         model
         if isinstance(model, NativeScene)
         else native_scene(undistorted_model(read_arrays(model)))
     )
+    seeing = AreaFilter(region.area, scene) if region.area is not None else None
+    held, notes = _held_bytes(Path(images), list(scene.cameras)) if images else ({}, ())
     least: Plan | None = None
-    for candidate in [grid] if grid else _candidates(scene):
-        found = Plan(candidate, _predict(scene, candidate, num_sources, halo))
+    for candidate in [grid] if grid else _candidates(scene, region):
+        natives = _cut_images(scene, Layout(candidate, overlap, region), seeing)
+        found = _predict(scene, candidate, natives, num_sources, halo, held, notes)
         if memory is None or found.peak <= memory:
             return found
         if least is None or found.peak < least.peak:
@@ -108,9 +161,11 @@ def grid_for_memory(sizes: list[tuple[int, int]], memory: int) -> Grid:
     )
 
 
-def _candidates(scene: NativeScene) -> Iterator[Grid]:
-    largest = max(scene.cameras.values(), key=lambda camera: camera.width * camera.height)
-    yield from _grids(largest.width, largest.height)
+def _candidates(scene: NativeScene, region: Region) -> Iterator[Grid]:
+    sizes = [(camera.width, camera.height) for camera in scene.cameras.values()]
+    rois = [region.roi_of(name) for name in scene.cameras]
+    cut = [(roi.width, roi.height) if roi else size for roi, size in zip(rois, sizes, strict=True)]
+    yield from _grids(*max(cut, key=lambda size: size[0] * size[1]))
 
 
 def _grids(width: int, height: int) -> Iterator[Grid]:
@@ -124,40 +179,144 @@ def _grids(width: int, height: int) -> Iterator[Grid]:
             yield grid
 
 
-def _predict(scene: NativeScene, grid: Grid, num_sources: int, halo: int) -> dict[str, int]:
-    cameras = list(scene.cameras.values())
-    cameras = cameras[:: -(-len(cameras) // _MOST_IMAGES)]
-    stereo = fuse = cut = 0.0
-    for camera in cameras:
-        native = NativeImage(camera.name, camera.width, camera.height, ())
-        cut = max(cut, _CUT_BYTES_PER_COLUMN * camera.width)
-        for row, column, core in grid.cores(camera.width, camera.height):
-            sub_image = SubImage("", row, column, core, core)
-            views = sub_image_views(scene, native, sub_image, num_sources=num_sources, halo=halo)
-            stereo = max(stereo, _stereo_bytes(views))
-            fuse = max(fuse, _fuse_bytes(core.area, views))
+def _cut_images(
+    scene: NativeScene, layout: Layout, seeing: AreaFilter | None
+) -> dict[str, NativeImage]:
+    """By name, the native images of which something is cut."""
+    layout.check_names(scene.cameras)
+    natives = [
+        layout.native_image(camera.name, (camera.width, camera.height))
+        for camera in scene.cameras.values()
+    ]
+    if seeing is not None:
+        natives = [native for native in map(seeing, natives) if native.sub_images]
+        if not natives:
+            raise seeing.nothing_left()
+    return {native.name: native for native in natives}
+
+
+def _held_bytes(images: Path, names: list[str]) -> tuple[dict[str, int], tuple[str, ...]]:
+    """What the reader of each photograph must hold beside a band of rows, by name, and what to say."""
+    held: dict[str, int] = {}
+    broken: list[str] = []
+    for name in names:
+        try:
+            photograph = open_photograph(images / name)
+        except InputError as error:
+            broken.append(str(error))
+            continue
+        pixels = photograph.width * photograph.height
+        held[name] = int(photograph.held_bytes_per_pixel * pixels)
+    notes = []
+    if broken:
+        notes.append(f"{len(broken)} photographs would be left out; the first one: {broken[0]}")
+    if (count := sum(size > 0 for size in held.values())) > 0:
+        notes.append(
+            f"{count} photographs cannot be read by rows (progressive JPEG, for example): up to "
+            f"{gigabytes(max(held.values()))} more while one of them is cut"
+        )
+    return held, tuple(notes)
+
+
+def _predict(
+    scene: NativeScene,
+    grid: Grid,
+    natives: dict[str, NativeImage],
+    num_sources: int,
+    halo: int,
+    held: dict[str, int],
+    notes: tuple[str, ...],
+) -> Plan:
+    covered = {name: native.covered for name, native in natives.items()}
+    looked_at = list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
+    # (pixels of the core, of the source windows, views) of each sub-image that is looked at.
+    found = [
+        (
+            sub.core.area,
+            sum(source.window.area for source in views.sources),
+            views,
+        )
+        for native in looked_at
+        for sub in native.sub_images
+        for views in [
+            sub_image_views(scene, native, sub, num_sources=num_sources, halo=halo, covered=covered)
+        ]
+    ]
+    stored = [sub.stored for native in natives.values() for sub in native.sub_images]
+    core = sum(sub.core.area for native in natives.values() for sub in native.sub_images)
+    pixels = sum(one.area for one in stored)
+    share = len(stored) / len(found)  # of what was not looked at
+    stereo_time = share * sum(
+        views.window.area * (_STEREO_TIME + _STEREO_TIME_OF_A_SOURCE * len(views.sources))
+        for _, _, views in found
+    )
     observations = sum(len(seen.point) for seen in scene.observations.values())
     process = _PROCESS_BYTES + _BYTES_PER_OBSERVATION * observations
-    return {
-        stage: int(process + _SLACK * peak)
-        for stage, peak in (("cut", cut), ("stereo", stereo), ("fuse", fuse))
-    }
+    whole = [scene.cameras[name] for name in natives]
+    cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
+    fuse = max(_FUSE_BYTES[0] * area + _FUSE_BYTES[1] * sources for area, sources, _ in found)
+    stereo = max(_stereo_bytes(views.window.area, sources) for _, sources, views in found)
+    cores = os.cpu_count() or 1
+    count, unit = len(stored), "sub-image"
+
+    def stage(
+        name: str,
+        units: tuple[int, str],
+        held_bytes: float,
+        time: float,
+        threads: int,
+        bytes_per_pixel: tuple[int, int] | None = None,
+    ) -> StagePlan:
+        peak = int(process + _SLACK * held_bytes)
+        seconds = time * 1e-6
+        return StagePlan(name, *units, peak, seconds, seconds / threads, bytes_per_pixel)
+
+    native_pixels = sum(one.width * one.height for one in whole)
+    return Plan(
+        grid=grid,
+        photographs=len(natives),
+        megapixels=core / 1e6,
+        sub_images=count,
+        largest=max(((one.width, one.height) for one in stored), key=lambda s: (s[0] * s[1], s)),
+        source_megapixels=(
+            sum(sources for _, sources, _ in found) / len(found) / 1e6,
+            max(sources for _, sources, _ in found) / 1e6,
+        ),
+        files=(2 + _MAP_FILES) * count,
+        written_bytes=int(
+            sum(_bytes_on_disk(native) for native in natives.values())
+            + _MAP_BYTES * pixels
+            + _POINTS_PER_PIXEL * _POINT_BYTES * core
+        ),
+        stages=(
+            stage("cut", (len(natives), "photograph"), cut, _CUT_TIME * native_pixels, cores),
+            stage("views", (count, unit), 0, _VIEWS_TIME * count, 1),
+            stage("stereo", (count, unit), stereo, stereo_time, cores, _stereo_bytes_per_pixel()),
+            stage("fuse", (count, unit), fuse, _FUSE_TIME * core, cores, _FUSE_BYTES),
+            stage("report", (1, "page"), _REPORT_BYTES, _REPORT_TIME * core, 1),
+        ),
+        notes=notes,
+    )
 
 
-def _stereo_bytes(views: SubImageViews) -> int:
-    """The geometric pass, which holds the depths of the sources too, or the photometric one."""
-    sources = sum(source.window.area for source in views.sources)
-    peaks = []
+def _stereo_bytes_per_pixel(geometric: bool = True) -> tuple[int, int]:
+    """Of the reference's window, and of each source's."""
     # Beside the core's own: grey 1, depth 4, normal 12 read; grey 1, depth 4 of each source.
-    for geometric, reference_bytes, source_bytes in ((False, 1, 1), (True, 17, 5)):
-        per_reference, per_source = _core.patch_match_bytes_per_pixel(geometric)
-        peaks.append(
-            views.window.area * (per_reference + reference_bytes)
-            + sources * (per_source + source_bytes)
-        )
-    return max(peaks)
+    read = (17, 5) if geometric else (1, 1)
+    reference, source = _core.patch_match_bytes_per_pixel(geometric)
+    return reference + read[0], source + read[1]
 
 
-def _fuse_bytes(area: int, views: SubImageViews) -> int:
-    """Depth and its inverse 8, normal 12, colour 3; a point 56 by rows and 45 in arrays."""
-    return 124 * area + 8 * sum(source.window.area for source in views.sources)
+def _stereo_bytes(reference_pixels: int, source_pixels: int) -> int:
+    """The geometric pass, which holds the depths of the sources too, or the photometric one."""
+    return max(
+        reference_pixels * reference + source_pixels * source
+        for reference, source in map(_stereo_bytes_per_pixel, (False, True))
+    )
+
+
+def _bytes_on_disk(native: NativeImage) -> float:
+    """Of the sub-images of a photograph, roughly: JPEG stays JPEG."""
+    is_jpeg = PurePosixPath(native.name).suffix.lower() in (".jpg", ".jpeg")
+    pixels = sum(sub.stored.area for sub in native.sub_images)
+    return (_JPEG_BYTES if is_jpeg else _PNG_BYTES) * pixels

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 from sirpy.errors import InputError
 
@@ -79,10 +80,16 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Grid:
-    """`columns` x `rows` sub-images (the paper's I x J) that cover every native pixel once."""
+    """`columns` x `rows` sub-images (the paper's I x J) that cover every pixel of a rectangle once.
+
+    They are even, sizes differing by at most one pixel, unless cuts are given: the native x (y) where
+    the second and every later column (row) begins.
+    """
 
     columns: int
     rows: int
+    column_cuts: tuple[int, ...] = ()
+    row_cuts: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.columns < 1 or self.rows < 1:
@@ -90,23 +97,76 @@ class Grid:
                 f"a grid of {self.columns}x{self.rows} sub-images is not possible: "
                 "columns and rows must be at least 1"
             )
+        for what, count, cuts in (
+            ("column", self.columns, self.column_cuts),
+            ("row", self.rows, self.row_cuts),
+        ):
+            if any(later <= earlier for earlier, later in pairwise((0, *cuts))):
+                raise InputError(
+                    f"{what} cuts at {_spoken(cuts)} are not possible: give pixels above 0, "
+                    "each greater than the one before"
+                )
+            if cuts and count != len(cuts) + 1:
+                raise InputError(
+                    f"{what} cuts at {_spoken(cuts)} make {len(cuts) + 1} {what}s, not {count}: "
+                    "give one of the two"
+                )
+
+    @classmethod
+    def with_cuts(
+        cls,
+        column_cuts: tuple[int, ...] = (),
+        row_cuts: tuple[int, ...] = (),
+        *,
+        columns: int | None = None,
+        rows: int | None = None,
+    ) -> Grid:
+        """A grid that is cut at the given native pixels; even, of one part if not said otherwise,
+        along a side without cuts."""
+        return cls(
+            columns if columns is not None else len(column_cuts) + 1,
+            rows if rows is not None else len(row_cuts) + 1,
+            column_cuts,
+            row_cuts,
+        )
 
     def __str__(self) -> str:
         return f"{self.columns}x{self.rows}"
 
     def cores(self, width: int, height: int) -> Iterator[tuple[int, int, Rectangle]]:
-        """(row, column, core) of each sub-image, row by row; sizes differ by at most one pixel.
+        """(row, column, core) of each sub-image of a whole image, as `tiles`."""
+        return self.tiles(Rectangle(0, 0, width, height))
+
+    def tiles(self, rectangle: Rectangle) -> Iterator[tuple[int, int, Rectangle]]:
+        """(row, column, core) of each sub-image of `rectangle`, row by row.
 
         Raises:
-            InputError: the grid has more columns or rows than the image has pixels.
+            InputError: the grid has more columns or rows than the rectangle has pixels, or a cut lies
+                outside it.
         """
-        if self.columns > width or self.rows > height:
+        if self.columns > rectangle.width or self.rows > rectangle.height:
             raise InputError(
-                f"a grid of {self} sub-images is larger than an image of {width}x{height} pixels: "
-                "use fewer columns or rows"
+                f"a grid of {self} sub-images is larger than an image of "
+                f"{rectangle.width}x{rectangle.height} pixels: use fewer columns or rows"
             )
-        for row in range(self.rows):
-            y0, y1 = row * height // self.rows, (row + 1) * height // self.rows
-            for column in range(self.columns):
-                x0, x1 = column * width // self.columns, (column + 1) * width // self.columns
+        xs = _edges("column", rectangle.x0, rectangle.x1, self.columns, self.column_cuts)
+        ys = _edges("row", rectangle.y0, rectangle.y1, self.rows, self.row_cuts)
+        for row, (y0, y1) in enumerate(pairwise(ys)):
+            for column, (x0, x1) in enumerate(pairwise(xs)):
                 yield row, column, Rectangle.from_corners(x0, y0, x1, y1)
+
+
+def _edges(what: str, begin: int, end: int, count: int, cuts: tuple[int, ...]) -> list[int]:
+    """Where the parts of begin <= pixel < end begin, and the end."""
+    if not cuts:
+        return [begin + i * (end - begin) // count for i in range(count + 1)]
+    if outside := [cut for cut in cuts if not begin < cut < end]:
+        raise InputError(
+            f"the {what} cut at {outside[0]} is outside the pixels that are cut, {begin} to {end}: "
+            "give one between them"
+        )
+    return [begin, *cuts, end]
+
+
+def _spoken(cuts: tuple[int, ...]) -> str:
+    return ",".join(str(cut) for cut in cuts)

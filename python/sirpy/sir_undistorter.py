@@ -19,6 +19,7 @@ from sirpy.rectangle import Grid
 from sirpy.undistorter_options import Options, parse
 
 if TYPE_CHECKING:
+    from sirpy.layout import Region
     from sirpy.lens import UndistortOptions
     from sirpy.model_arrays import SparseModel
 
@@ -49,6 +50,7 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
     from sirpy.colmap_workspace import write_dense_folder
     from sirpy.cutting import PixelOptions, cut
     from sirpy.files import fingerprint
+    from sirpy.layout import read_region
     from sirpy.lens import UndistortOptions
     from sirpy.model_arrays import read_arrays
     from sirpy.model_files import model_identity
@@ -56,6 +58,13 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
 
     undistort = UndistortOptions(
         **{field.name: getattr(options, field.name) for field in fields(UndistortOptions)}
+    )
+    region = read_region(
+        options.sub_image_roi,
+        options.sub_image_roi_list,
+        options.area,
+        options.area_crs,
+        options.model_crs,
     )
     names = _listed_names(options.image_list_path)
     model = read_arrays(options.input_path)
@@ -66,8 +75,9 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         model,
         options.output_path,
         identity=fingerprint(model_identity(options.input_path), names),
-        grid=_grid(options, model, undistort),
+        grid=_grid(options, model, undistort, region),
         overlap=options.sub_image_overlap,
+        region=region,
         masks=options.mask_path,
         pixels=PixelOptions(
             options.bands,
@@ -79,6 +89,10 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         progress=progress,
     )
     without_points = write_dense_folder(workspace, options.num_patch_match_src_images)
+    if options.cluster_size is not None:
+        from sirpy.clustering import clusters
+
+        clusters(workspace, cluster_size=options.cluster_size)
     if without_points:
         progress.note(
             f"{len(without_points)} sub-images see no sparse point, so COLMAP could not tell their "
@@ -119,16 +133,27 @@ def _only_listed(model: SparseModel, names: list[str], options: Options) -> Spar
     return model.taking([index[name] for name in names])
 
 
-def _grid(options: Options, model: SparseModel, undistort: UndistortOptions) -> Grid:
+def _grid(
+    options: Options,
+    model: SparseModel,
+    undistort: UndistortOptions,
+    region: Region,
+) -> Grid:
     """The grid that the options ask for, of the three ways to choose it."""
     if options.memory is None and options.max_sub_image_size is None:
-        columns, rows = options.sub_image_columns, options.sub_image_rows
-        return Grid(1 if columns is None else columns, 1 if rows is None else rows)
+        from sirpy.layout import parse_cuts
+
+        return Grid.with_cuts(
+            parse_cuts(options.sub_image_column_cuts, "--sub_image_column_cuts"),
+            parse_cuts(options.sub_image_row_cuts, "--sub_image_row_cuts"),
+            columns=options.sub_image_columns,
+            rows=options.sub_image_rows,
+        )
     from sirpy.lens import undistorted_camera
 
     cameras = {i: undistorted_camera(camera, undistort) for i, camera in model.cameras.items()}
-    of_images = [cameras[image.camera_id] for image in model.images]
-    sizes = [(camera.width, camera.height) for camera in of_images]
+    cut = [region.roi_of(image.name) or cameras[image.camera_id] for image in model.images]
+    sizes = [(one.width, one.height) for one in cut]
     if options.memory is not None:
         from sirpy.memory import parse_memory
         from sirpy.planning import grid_for_memory

@@ -56,6 +56,14 @@ class Options:
     max_sub_image_size: int | None
     memory: str | None
     sub_image_overlap: int
+    sub_image_column_cuts: str | None
+    sub_image_row_cuts: str | None
+    sub_image_roi: str | None
+    sub_image_roi_list: Path | None
+    area: Path | None
+    area_crs: str | None
+    model_crs: str | None
+    cluster_size: int | None
     notes: tuple[str, ...]
 
 
@@ -129,6 +137,21 @@ def _parser() -> argparse.ArgumentParser:
     grid.add_argument("--max_sub_image_size", type=int, help="longest side in pixels")
     grid.add_argument("--memory", help="what dense stereo may take, e.g. 8GB")
     grid.add_argument("--sub_image_overlap", type=int, default=0, help="pixels on every side")
+    grid.add_argument("--sub_image_column_cuts", help="uneven columns: where they begin: 3000,8000")
+    grid.add_argument("--sub_image_row_cuts", help="uneven rows: where they begin: 3000,8000")
+    grid.add_argument(
+        "--cluster_size", type=int, help="also write clusters of at most so many sub-images"
+    )
+    region = parser.add_argument_group("what is cut, in pixels of the undistorted photographs")
+    region.add_argument("--sub_image_roi", help="X0,Y0,WIDTH,HEIGHT of all photographs")
+    region.add_argument(
+        "--sub_image_roi_list", type=Path, help="file of lines NAME X0,Y0,WIDTH,HEIGHT"
+    )
+    region.add_argument(
+        "--area", type=Path, help="GeoJSON polygons: only sub-images that see them are cut"
+    )
+    region.add_argument("--area_crs", help="of the area, e.g. EPSG:25832; else what the file says")
+    region.add_argument("--model_crs", help="of the model; without, the area is in its coordinates")
     camera = parser.add_argument_group("the undistorted camera, as in image_undistorter")
     camera.add_argument("--blank_pixels", type=float, default=0.0)
     camera.add_argument("--min_scale", type=float, default=0.2)
@@ -190,7 +213,11 @@ def _checked(values: dict[str, Any], notes: list[str]) -> Options:
         _check_range(values, name, 1)
     _check_range(values, "max_sub_image_size", 1)
     _check_range(values, "sub_image_overlap", 0)
-    by_count = values["sub_image_columns"] is not None or values["sub_image_rows"] is not None
+    _check_range(values, "cluster_size", 3)
+    by_count = any(
+        values[f"sub_image_{name}"] is not None
+        for name in ("columns", "rows", "column_cuts", "row_cuts")
+    )
     ways = [by_count, values["max_sub_image_size"] is not None, values["memory"] is not None]
     if sum(ways) > 1:
         raise InputError(

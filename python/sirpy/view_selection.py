@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -94,13 +95,14 @@ def views(
     if begun and workspace.views.exists():
         return read_views(workspace)
     scene = read_native_scene(workspace)
+    covered = {native.name: native.covered for native in natives}
     found: dict[str, SubImageViews] = {}
     with (progress or Progress()).stage(
         "views", sum(len(native.sub_images) for native in natives), "sub-image"
     ) as step:
         for native, sub_image in workspace.sub_images():
             found[sub_image.name] = sub_image_views(
-                scene, native, sub_image, num_sources=num_sources, halo=halo
+                scene, native, sub_image, num_sources=num_sources, halo=halo, covered=covered
             )
             step.advance()
     if not any(one.sources for one in found.values()):
@@ -165,13 +167,18 @@ def source_window(
     window: Rectangle,
     depths: tuple[float, float],
     source: NativeCamera,
+    covered: Rectangle | None = None,
 ) -> Rectangle:
     """What `window` of the reference, between two depths, projects to in the source, with the patch's reach.
 
+    Within `covered`, what the sub-images of the source hold of it; all of it if None.
+
     The frustum between two depths is convex, so the bounding box of its eight projected corners holds all
-    of it. Where a corner lies behind the source nothing can be said, and it is the whole source.
+    of it. Where a corner lies behind the source nothing can be said, and it is all that there is.
     """
     whole = Rectangle(0, 0, source.width, source.height)
+    if covered is not None:
+        whole = aligned(covered, whole)
     x = np.array([window.x0, window.x1, window.x1, window.x0] * 2, dtype=np.float64)
     y = np.array([window.y0, window.y0, window.y1, window.y1] * 2, dtype=np.float64)
     corners = reference.world(np.column_stack([x, y]), np.repeat(depths, 4))
@@ -184,26 +191,41 @@ def source_window(
 
 
 def sub_image_views(
-    scene: NativeScene, native: NativeImage, sub_image: SubImage, *, num_sources: int, halo: int
+    scene: NativeScene,
+    native: NativeImage,
+    sub_image: SubImage,
+    *,
+    num_sources: int,
+    halo: int,
+    covered: Mapping[str, Rectangle] | None = None,
 ) -> SubImageViews:
-    """Depth range, sources and windows of one sub-image."""
-    window = aligned(sub_image.stored.padded(halo), native.rectangle)
+    """Depth range, sources and windows of one sub-image.
+
+    Args:
+        covered: what the sub-images of each native image hold of it; all of it if None. Images that
+            it does not name are no sources.
+    """
+    whole = native.rectangle if covered is None else aligned(covered[native.name], native.rectangle)
+    window = aligned(sub_image.stored.padded(halo), whole)
     reference = scene.cameras[native.name]
     seen = scene.observations[native.name]
-    near = _observations_around(scene, native, sub_image.core)
+    near = observations_around(scene, native, sub_image.core)
     if len(near) < 3:
         return SubImageViews(sub_image.name, window, 0.0, 0.0, ())
     depths = _depth_range(seen.depth[near])
     windows: dict[str, Rectangle] = {}
 
     def has_part(name: str) -> bool:
+        if covered is not None and name not in covered:
+            return False
         if name not in windows:
-            windows[name] = source_window(reference, window, depths, scene.cameras[name])
+            within = None if covered is None else covered[name]
+            windows[name] = source_window(reference, window, depths, scene.cameras[name], within)
         return min(windows[name].width, windows[name].height) > 2 * PATCH_REACH
 
     chosen: Counter[str] = Counter()
     for block in _blocks(native, sub_image.stored):
-        points = seen.point[_observations_around(scene, native, block)]
+        points = seen.point[observations_around(scene, native, block)]
         ranked = _ranked_sources(scene, native.name, points)
         best = list(islice(filter(has_part, ranked), num_sources))
         # The best of each block come before the second best of any.
@@ -228,7 +250,7 @@ def _blocks(native: NativeImage, rectangle: Rectangle) -> list[Rectangle]:
     return [block for block in blocks if block.intersection(rectangle).area]
 
 
-def _observations_around(scene: NativeScene, native: NativeImage, rectangle: Rectangle) -> Indices:
+def observations_around(scene: NativeScene, native: NativeImage, rectangle: Rectangle) -> Indices:
     """Indices of the observations in a region around a rectangle that grows until it holds enough."""
     seen = scene.observations[native.name]
     margin = max(1, max(rectangle.width, rectangle.height) // 8)

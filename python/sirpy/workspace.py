@@ -7,6 +7,7 @@ OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, 
 OUT/images/              the sub-images NAME_rRR_cCC.ext
 OUT/masks/               their masks NAME_rRR_cCC.ext.png, where the photographs have some
 OUT/sparse/              COLMAP model of the sub-images
+OUT/clusters.json, OUT/clusters/   groups of sub-images, when asked for
 OUT/views.json           sources, depth range and source windows of each sub-image
 OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
 OUT/fusion/              the points of each sub-image
@@ -34,7 +35,7 @@ Pass = Literal["photometric", "geometric"]
 # A stage that has to be done again takes with it what later stages made of its output.
 _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
     "sparse": ("sfm",),
-    "cut": ("sir.json", "native", "images", "masks", "sparse"),
+    "cut": ("sir.json", "native", "images", "masks", "sparse", "clusters.json", "clusters"),
     "views": ("views.json", "stereo/patch-match.cfg", "stereo/fusion.cfg"),
     "stereo": (
         "stereo/depth_maps",
@@ -50,8 +51,8 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
 class SubImage:
     """A rectangle of an undistorted native image, with the file that holds it.
 
-    `core` are the pixels it owns (every native pixel has exactly one owner), `stored` the pixels in the
-    file: the core and the overlap, clipped to the native image. Both in native pixels.
+    `core` are the pixels it owns (every pixel of the region that is cut has exactly one owner), `stored`
+    the pixels in the file: the core and the overlap, clipped to the region. Both in native pixels.
     """
 
     name: str
@@ -63,7 +64,8 @@ class SubImage:
 
 @dataclass(frozen=True)
 class NativeImage:
-    """An undistorted native image: size in pixels and the sub-images that tile it, row by row.
+    """An undistorted native image: size in pixels and the sub-images of the region that is cut, row by
+    row; of an area those that see it.
 
     `white` is the sample value that shows as white, 255 unless samples have 16 bits; `masked` says
     that its sub-images have masks.
@@ -79,6 +81,17 @@ class NativeImage:
     @property
     def rectangle(self) -> Rectangle:
         return Rectangle(0, 0, self.width, self.height)
+
+    @property
+    def covered(self) -> Rectangle:
+        """The smallest rectangle around all that the sub-images store; there is one at least."""
+        stored = [sub.stored for sub in self.sub_images]
+        return Rectangle.from_corners(
+            min(one.x0 for one in stored),
+            min(one.y0 for one in stored),
+            max(one.x1 for one in stored),
+            max(one.y1 for one in stored),
+        )
 
 
 @dataclass(frozen=True)
@@ -145,6 +158,20 @@ class Workspace:
     @property
     def sparse(self) -> Path:
         return self.folder / "sparse"
+
+    @property
+    def clusters_index(self) -> Path:
+        """The clusters and their sub-images."""
+        return self.folder / "clusters.json"
+
+    @property
+    def clusters(self) -> Path:
+        """The lists of the clusters."""
+        return self.folder / "clusters"
+
+    def cluster(self, name: str) -> Path:
+        """The names of a cluster's sub-images, one a line."""
+        return self.clusters / f"{name}.txt"
 
     @property
     def views(self) -> Path:

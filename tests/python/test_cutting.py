@@ -9,8 +9,10 @@ import pycolmap
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from sirpy.area import Area
 from sirpy.cutting import PixelOptions, cut
 from sirpy.errors import InputError, OutputError
+from sirpy.layout import Region
 from sirpy.lens import UndistortOptions, moved_between, undistorted_camera
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid, Rectangle
@@ -287,6 +289,9 @@ def test_mistakes_are_found_before_anything_is_written(tmp_path: Path) -> None:
 
     refuse("larger than an image of", grid=Grid(200, 1))
     refuse("overlap = -1", overlap=-1)
+    refuse("outside the undistorted", region=Region(roi=Rectangle(0, 0, 1000, 10)))
+    refuse("x.png, which is not among", region=Region(rois={"x.png": Rectangle(0, 0, 10, 10)}))
+    refuse("column cut at 400 is outside", grid=Grid.with_cuts((400,)))
     refuse("no folder", images=tmp_path / "absent")
     refuse("no image with a pose", model=pycolmap.Reconstruction())
     refuse("outside the folder", model=model_of(["../a.png"], [camera("PINHOLE")]))
@@ -350,6 +355,78 @@ def test_a_smaller_image_is_the_mean_of_the_undistorted_one(tmp_path: Path) -> N
     small = read_image(workspace.image(workspace.natives[0].sub_images[0]))
     blocks = read_image(photos / "a.png").reshape(35, 2, 45, 2, 3).astype(int)
     np.testing.assert_array_equal(small, (blocks.sum(axis=(1, 3)) + 2) // 4)
+
+
+@given(data=st.data(), overlap=st.integers(0, 20))
+@settings(max_examples=2, deadline=None)
+def test_any_region_is_that_part_of_the_uncut_image(
+    uncut: tuple[Path, pycolmap.Reconstruction, np.ndarray],
+    tmp_path_factory: pytest.TempPathFactory,
+    data: st.DataObject,
+    overlap: int,
+) -> None:
+    photos, model, whole = uncut
+    height, width = whole.shape[:2]
+    x0, y0 = data.draw(st.integers(0, width - 1)), data.draw(st.integers(0, height - 1))
+    roi = Rectangle(
+        x0, y0, data.draw(st.integers(1, width - x0)), data.draw(st.integers(1, height - y0))
+    )
+    cuts = data.draw(st.sets(st.integers(x0 + 1, roi.x1 - 1))) if roi.width > 1 else set()
+    grid = Grid.with_cuts(tuple(sorted(cuts)), rows=data.draw(st.integers(1, min(roi.height, 5))))
+    output = tmp_path_factory.mktemp("region") / "out"
+    workspace = cut(
+        photos,
+        model,
+        output,
+        identity="",
+        grid=grid,
+        overlap=overlap,
+        region=Region(roi=roi),
+        pixels=LOSSLESS,
+    )
+    (native,) = workspace.natives
+    expected = np.zeros_like(whole)
+    expected[roi.slices_in(native.rectangle)] = whole[roi.slices_in(native.rectangle)]
+    np.testing.assert_array_equal(
+        read_window(workspace, native.name, native.rectangle, "all"), expected
+    )
+    cameras = pycolmap.Reconstruction(workspace.sparse).cameras
+    centre = pycolmap.Reconstruction(workspace.native_model).camera(1).params[2:]
+    for index, sub in enumerate(native.sub_images, start=1):
+        moved = np.array([sub.stored.x0, sub.stored.y0])
+        np.testing.assert_allclose(cameras[index].params[2:], centre - moved, atol=1e-9)
+        assert cameras[index].width == sub.stored.width
+
+
+def test_only_sub_images_that_see_the_area_are_cut(tmp_path: Path) -> None:
+    photos, model = scene(tmp_path, "PINHOLE")
+    # The points lie at z = 3 in front of the cameras; a strip at the left border of what they see.
+    strip = Area((tuple([np.array([[-9, -9], [-1.2, -9], [-1.2, 9], [-9, 9], [-9, -9]], float)]),))
+    nowhere = Area((tuple([np.array([[50, 0], [51, 0], [51, 1], [50, 0]], float)]),))
+    with pytest.raises(InputError, match=r"no photograph of the model sees the area.*x from -"):
+        cut(
+            photos, model, tmp_path / "o", identity="", grid=Grid(4, 1), region=Region(area=nowhere)
+        )
+    assert not (tmp_path / "o").exists()
+    progress = Notes()
+    workspace = cut(
+        photos,
+        model,
+        tmp_path / "out",
+        identity="",
+        grid=Grid(4, 1),
+        region=Region(area=strip),
+        progress=progress,
+    )
+    assert {sub.column for _, sub in workspace.sub_images()} == {0, 1}
+    assert len(files(workspace.images)) == len(list(workspace.sub_images()))
+    assert any(note.startswith("area: ") for note in progress.notes)
+    # Another area is another cut; the same one is not.
+    before = files(workspace.folder)
+    cut(photos, model, tmp_path / "out", identity="", grid=Grid(4, 1), region=Region(area=strip))
+    assert files(workspace.folder) == before
+    workspace = cut(photos, model, tmp_path / "out", identity="", grid=Grid(4, 1))
+    assert {sub.column for _, sub in workspace.sub_images()} == {0, 1, 2, 3}
 
 
 SCRIPT_THAT_DIES = """

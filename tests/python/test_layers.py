@@ -17,13 +17,14 @@ LAYERS = """
     flight truth synthetic
     model_files model_arrays self_calibration structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
-    view_selection planning
+    view_selection area layout planning
     cutting windows
+    clustering
     colmap_workspace undistorter_options sir_undistorter colmap_launcher
     dense_stereo
     fusion
     overview cloud_picture html_report
-    pipeline demo
+    pipeline demo plan_table
     cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}

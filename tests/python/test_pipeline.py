@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sirpy.area import Area
 from sirpy.colmap_launcher import installed_colmap
 from sirpy.dense_stereo import StereoOptions
+from sirpy.layout import Region
 from sirpy.pipeline import reconstruct
 from sirpy.ply import read_vertices
-from sirpy.rectangle import Grid
+from sirpy.rectangle import Grid, Rectangle
 from sirpy.synthetic import evaluate
 from sirpy.windows import read_map
 from sirpy.workspace import Workspace
@@ -45,6 +47,26 @@ def test_cutting_costs_no_quality(town: Path, whole: Path, cut: Path) -> None:
     assert of_whole.accuracy[0] > 0.85 and of_whole.completeness[0] > 0.75
     assert abs(of_whole.completeness[0] - of_cut.completeness[0]) < 0.02
     assert abs(of_whole.accuracy[0] - of_cut.accuracy[0]) < 0.02
+
+
+def test_an_area_alone_is_as_dense_as_in_the_whole(town: Path, cut: Path, tmp_path: Path) -> None:
+    everything = read_vertices(cut / "fused.ply")
+    low, high = (np.percentile([everything["x"], everything["y"]], q, axis=1) for q in (45, 55))
+    corners = [low, [high[0], low[1]], high, [low[0], high[1]], low]
+    area = Area(((np.array(corners, float),),))
+    # Also without the outermost pixels of the photographs.
+    region = Region(roi=Rectangle(10, 10, 330, 210), area=area)
+    made = reconstruct(
+        town / "images", tmp_path / "out", model=town / "sparse", grid=Grid(4, 3), region=region
+    )
+    kept = [sub for native in made.workspace.natives for sub in native.sub_images]
+    assert 0 < len(kept) < 6 * 12 / 2
+    assert made.workspace.report.exists()
+
+    def inside(points: np.ndarray) -> int:
+        return int(area.contains(np.column_stack([points["x"], points["y"]])).sum())
+
+    assert inside(read_vertices(made.workspace.fused)) > 0.9 * inside(everything) > 100
 
 
 def test_every_missing_pixel_has_a_reason(cut: Path) -> None:

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 from scenes import plane_scene
+from sirpy.area import Area
 from sirpy.errors import BudgetError, InputError
+from sirpy.layout import Region
 from sirpy.memory import parse_memory
+from sirpy.plan_table import print_plan
 from sirpy.planning import grid_for_memory, plan
-from sirpy.rectangle import Grid
+from sirpy.rectangle import Grid, Rectangle
 
 
 @pytest.mark.parametrize(
@@ -56,6 +64,70 @@ def test_a_given_grid_is_kept_or_refused() -> None:
     assert plan(scene, memory=None, grid=Grid(3, 2)).grid == Grid(3, 2)
     with pytest.raises(BudgetError, match="grid of 1x1 sub-images needs"):
         plan(scene, memory=600_000_000, grid=Grid(1, 1))
+
+
+def test_a_plan_counts_what_is_cut() -> None:
+    scene = plane_scene(count=5, width=4000, height=3000)
+    whole = plan(scene, memory=None, grid=Grid(4, 3))
+    assert (whole.photographs, whole.sub_images, whole.largest) == (5, 60, (1000, 1000))
+    assert whole.megapixels == pytest.approx(60)
+    with_overlap = plan(scene, memory=None, grid=Grid(4, 3), overlap=50)
+    assert with_overlap.largest == (1100, 1100)
+    assert with_overlap.predicted_peak["stereo"] > whole.predicted_peak["stereo"]
+    half = Region(roi=Rectangle(0, 0, 2000, 3000))
+    of_half = plan(scene, memory=None, grid=Grid(2, 3), region=half)
+    assert (of_half.sub_images, of_half.megapixels) == (30, 30)
+    assert of_half.source_megapixels[1] < whole.source_megapixels[1]
+    cuts = plan(scene, memory=None, grid=Grid.with_cuts((100,)), region=half)
+    assert (cuts.sub_images, cuts.largest) == (10, (1900, 3000))
+
+
+def test_a_plan_of_an_area_has_the_photographs_that_see_it() -> None:
+    # The cameras stand 20 apart and see 100 x 75; the area lies before the last two of them.
+    scene = plane_scene(count=5, width=4000, height=3000)
+    ring = np.array([[65, 0], [66, 0], [66, 1], [65, 1], [65, 0]], float)
+    found = plan(scene, memory=None, grid=Grid(4, 3), region=Region(area=Area(((ring,),))))
+    assert found.photographs == 2
+    assert found.sub_images <= 4
+    with pytest.raises(InputError, match="no photograph of the model sees the area"):
+        plan(scene, memory=None, region=Region(area=Area(((ring + 500,),))))
+
+
+def test_photographs_that_are_held_whole_count_in_the_peak_of_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = plane_scene(count=3, width=4000, height=3000)
+    rows = plan(scene, memory=None, grid=Grid(2, 2))
+
+    @dataclass
+    class Held:
+        width: int = 4000
+        height: int = 3000
+        held_bytes_per_pixel: float = 3.0
+
+    def opened(path: Path) -> Held:
+        if path.name == "001.jpg":
+            raise InputError(f"{path.name} is damaged")
+        return Held()
+
+    monkeypatch.setattr("sirpy.planning.open_photograph", opened)
+    held = plan(scene, memory=None, grid=Grid(2, 2), images=tmp_path)
+    more = held.predicted_peak["cut"] - rows.predicted_peak["cut"]
+    assert more == pytest.approx(1.1 * 3 * 12e6, rel=1e-6)
+    assert "1 photographs would be left out" in held.notes[0]
+    assert "2 photographs cannot be read by rows" in held.notes[1]
+
+
+def test_the_table_says_what_the_plan_says() -> None:
+    found = plan(plane_scene(count=3, width=4000, height=3000), memory=None, grid=Grid(4, 3))
+    text = io.StringIO()
+    print_plan(found, 8_000_000_000, Console(file=text, width=120))
+    words = " ".join(text.getvalue().split())
+    assert "4x3 sub-images of each photograph" in words
+    assert "36 of at most 1000 x 1000 pixels" in words
+    for stage in ("cut", "views", "stereo", "fuse", "report"):
+        assert f"│ {stage} │" in words
+    assert "of 8.00 GB" in words
 
 
 @given(st.integers(300, 20_000), st.integers(300, 20_000), st.floats(1e8, 1e11))

@@ -94,6 +94,38 @@ def test_only_the_listed_images_are_cut(inputs: list[str], tmp_path: Path) -> No
     assert image.name.startswith("2_")
 
 
+def test_regions_uneven_grids_and_clusters(inputs: list[str], tmp_path: Path) -> None:
+    regions = tmp_path / "regions.txt"
+    regions.write_text("2.jpg 40,30,60,50\n")
+    arguments = [
+        "--sub_image_roi=10,20,100,80",
+        f"--sub_image_roi_list={regions}",
+        "--sub_image_column_cuts=50",
+        "--sub_image_rows=2",
+        "--cluster_size=3",
+    ]
+    assert main([*inputs, *arguments]) == 0
+    model = pycolmap.Reconstruction(tmp_path / "out" / "sparse")
+    sizes = {
+        image.name: (camera.width, camera.height)
+        for image in model.images.values()
+        for camera in [model.cameras[image.camera_id]]
+    }
+    assert sizes == {
+        "1_r00_c00.jpg": (40, 40),
+        "1_r00_c01.jpg": (60, 40),
+        "1_r01_c00.jpg": (40, 40),
+        "1_r01_c01.jpg": (60, 40),
+        "2_r00_c00.jpg": (10, 25),
+        "2_r00_c01.jpg": (50, 25),
+        "2_r01_c00.jpg": (10, 25),
+        "2_r01_c01.jpg": (50, 25),
+    }
+    lists = [path.read_text().split() for path in (tmp_path / "out" / "clusters").iterdir()]
+    assert {name for names in lists for name in names} == set(sizes)
+    assert max(map(len, lists)) <= 3
+
+
 def test_the_same_again_keeps_the_depth_maps_and_another_grid_does_not(
     inputs: list[str], tmp_path: Path
 ) -> None:
@@ -112,6 +144,12 @@ def test_the_same_again_keeps_the_depth_maps_and_another_grid_does_not(
         (["--image_list_path=LIST"], "lists nowhere.jpg, which is not in the model"),
         (["--roi_min_x=0.9", "--roi_max_x=0.1"], "roi_m"),
         (["--sub_image_columns=1000"], "larger than an image"),
+        (["--sub_image_roi=0,0,9999,10"], "outside the undistorted image of 1.jpg"),
+        (["--sub_image_roi_list=LIST"], "has no name"),
+        (["--sub_image_column_cuts=9999"], "column cut at 9999 is outside"),
+        (["--area=LIST"], "cannot be read as GeoJSON"),
+        (["--area_crs=EPSG:4326"], "give --area too"),
+        (["--cluster_size=2"], "must be at least 3"),
         (["--max_sub_image_size=100", "--sub_image_overlap=50"], "at least 101"),
         (["--input_path=/nowhere"], "/nowhere"),
     ],

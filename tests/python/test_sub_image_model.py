@@ -1,7 +1,7 @@
 import numpy as np
 import pycolmap
 import pytest
-from sirpy.cutting import _native_image
+from sirpy.layout import Layout
 from sirpy.model_arrays import read_arrays
 from sirpy.rectangle import Grid, Rectangle
 from sirpy.sub_image_model import sub_image_model, undistorted_model
@@ -15,10 +15,12 @@ def cut_model(
     names = ["a.jpg", "sub/b.jpg", "c.jpg"]
     cameras = [camera("OPENCV", 4), camera("PINHOLE", 2), camera("OPENCV", 4)]
     native = undistorted_model(read_arrays(model_of(names, cameras)))
-    natives = [
-        _native_image(image.name, image.name[:-4], "png", native.camera_of(image), grid, overlap)
-        for image in sorted(native.images, key=lambda image: image.name)
-    ]
+    layout = Layout(grid, overlap)
+    natives = []
+    for image in sorted(native.images, key=lambda image: image.name):
+        target = native.camera_of(image)
+        cut = layout.native_image(image.name, (target.width, target.height))
+        natives.append(layout.named(cut, image.name[:-4], "png"))
     subs = sub_image_model(native, natives)
     return read_by_pycolmap(native), natives, read_by_pycolmap(subs)
 
