@@ -1,7 +1,8 @@
 """sirpy: dense 3D reconstruction at native resolution by sub-image recapture.
 
 Each stage is a function, and a command of the same name: `sparse`, `plan`, `cut`, `views`, `stereo`, `fuse`,
-`report`; `reconstruct` runs them all. They are imported at use, so that `import sirpy` is quick.
+`report`; `reconstruct` runs them all, `export` is for other engines. They are imported at use, so that
+`import sirpy` is quick.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from sirpy.cutting import cut
     from sirpy.dense_stereo import StereoOptions, stereo
     from sirpy.errors import SirpyError
+    from sirpy.exporting import export
     from sirpy.fusion import FusionOptions, fuse
     from sirpy.html_report import report
     from sirpy.pipeline import reconstruct
@@ -38,6 +40,7 @@ _HOME = {
     "StereoOptions": "dense_stereo",
     "Workspace": "workspace",
     "cut": "cutting",
+    "export": "exporting",
     "fuse": "fusion",
     "plan": "planning",
     "read_model": "sparse_model",
@@ -57,6 +60,7 @@ __all__ = [
     "StereoOptions",
     "Workspace",
     "cut",
+    "export",
     "fuse",
     "plan",
     "read_model",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sirpy.engine_options import CopyPolicy, Engine, ImageFormat, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
 
 if TYPE_CHECKING:
@@ -137,6 +138,16 @@ def cut(
     columns: Columns = None,
     rows: Rows = None,
     overlap: Annotated[int, typer.Option(help="Extra pixels around each sub-image.")] = 0,
+    same_size: Annotated[
+        int,
+        typer.Option(help="One size for all, a multiple of so many pixels, by more overlap."),
+    ] = 0,
+    min_points: Annotated[
+        int, typer.Option(help="Leave out sub-images that see fewer sparse points.")
+    ] = 0,
+    format: Annotated[
+        ImageFormat | None, typer.Option(help="Of the sub-images; as the photographs if not given.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Recapture: undistorts the photographs and cuts them into sub-images with their own cameras."""
@@ -151,6 +162,9 @@ def cut(
         grid=_grid(columns, rows),
         memory=parse_memory(memory),
         overlap=overlap,
+        same_size=same_size,
+        min_points=min_points,
+        format=format,
         progress=make_progress(quiet),
     )
     print(f"sub-images: {workspace.images}")
@@ -172,6 +186,40 @@ def views(
     folder = Workspace(workspace)
     run(folder, num_sources=num_sources, halo=halo, progress=make_progress(quiet))
     print(f"views: {folder.views}")
+
+
+@app.command()
+def export(
+    workspace: WorkspaceFolder,
+    engine: Annotated[Engine, typer.Argument(help="What shall read it.", show_default=False)],
+    num_sources: Annotated[int, typer.Option(help="Sub-images matched against, at most.")] = 20,
+    min_points: Annotated[
+        int, typer.Option(help="COLMAP: sub-images with fewer points get a depth range.")
+    ] = 1,
+    mvsnet_depths: Annotated[
+        MvsnetDepths, typer.Option(help="range: PatchmatchNet; interval: MVSNet, CasMVSNet.")
+    ] = "range",
+    copy_policy: Annotated[
+        CopyPolicy, typer.Option(help="How numbered images are made of the sub-images.")
+    ] = "hard-link",
+    quiet: Quiet = False,
+) -> None:
+    """The sub-images for another engine: COLMAP, PMVS, CMP-MVS, MVSNet and its relatives."""
+    from sirpy.exporting import export as run
+    from sirpy.progress import make_progress
+    from sirpy.workspace import Workspace
+
+    folder = Workspace(workspace)
+    run(
+        folder,
+        engine,
+        num_sources=num_sources,
+        min_points=min_points,
+        mvsnet_depths=mvsnet_depths,
+        copy_policy=copy_policy,
+        progress=make_progress(quiet),
+    )
+    print(f"{engine}: {folder.folder}")
 
 
 @app.command()

@@ -4,17 +4,17 @@ models."""
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Literal
 
 import pycolmap
 
+from sirpy.engine_options import ImageFormat
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
 from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
 from sirpy.model_files import model_identity, read_model
-from sirpy.native_scene import native_scene
+from sirpy.native_scene import NativeScene, native_scene
 from sirpy.photographs import (
     Photograph,
     check_folders,
@@ -26,12 +26,11 @@ from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
+from sirpy.view_selection import points_seen
 from sirpy.workspace import LeftOut, NativeImage, SubImage, Workspace, check_writable
 
-Format = Literal["jpg", "png"]
-
 # To be raised when the same inputs and options begin to give other files.
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,9 @@ def cut(
     memory: int | None = None,
     identity: str | None = None,
     overlap: int = 0,
-    format: Format | None = None,
+    same_size: int = 0,
+    min_points: int = 0,
+    format: ImageFormat | None = None,
     jpeg_quality: int = 95,
     undistort: UndistortOptions = UndistortOptions(),
     progress: Progress = Progress(),
@@ -71,6 +72,9 @@ def cut(
         memory: bytes that all later stages may take; None for no bound.
         identity: tells whether a model that was read already is the same as in an earlier run.
         overlap: extra pixels on each side of a sub-image.
+        same_size: with n > 0 the files have one size, a multiple of n pixels, by more overlap; as
+            far as the photographs are large enough.
+        min_points: sub-images that see fewer sparse points are left out, said by `progress.note`.
         format: of the sub-images; None keeps JPEG and PNG, and makes PNG of everything else.
         jpeg_quality: 1 to 100.
 
@@ -81,7 +85,7 @@ def cut(
         OutputError: the output folder cannot be written.
     """
     images, output = Path(images), Path(output)
-    _check_options(overlap, format, jpeg_quality)
+    _check_options(overlap, same_size, min_points, format, jpeg_quality)
     check_folders(images, output)
     if not isinstance(model, pycolmap.Reconstruction):
         identity = model_identity(Path(model))
@@ -91,6 +95,12 @@ def cut(
     if grid is None:
         grid = plan(native_scene(undistorted_model(model, undistort)), memory=memory).grid
     tasks, left_out = _check_inputs(images, model, grid, overlap, format, undistort)
+    if same_size:
+        natives = of_one_size([task.native for task in tasks], same_size)
+        tasks = [replace(task, native=native) for task, native in zip(tasks, natives, strict=True)]
+    if min_points:
+        scene = native_scene(undistorted_model(model, undistort))
+        tasks = _with_points(tasks, scene, min_points, progress)
     workspace = Workspace(output)
     _check_apart(images, workspace)
     check_writable(output)
@@ -101,7 +111,7 @@ def cut(
             identity,
             [(task.native.name, file_identity(task.photograph.path)) for task in tasks],
             [out.name for out in left_out],
-            [grid.columns, grid.rows, overlap, format, jpeg_quality],
+            [grid.columns, grid.rows, overlap, same_size, min_points, format, jpeg_quality],
             asdict(undistort),
         ),
     )
@@ -121,9 +131,61 @@ def cut(
     return workspace
 
 
-def _check_options(overlap: int, format: str | None, jpeg_quality: int) -> None:
+def of_one_size(natives: list[NativeImage], multiple: int) -> list[NativeImage]:
+    """The native images with stored rectangles of one size, a multiple of `multiple` pixels.
+
+    The smallest such size that holds every stored rectangle; where a native image is smaller, its side.
+    """
+    stored = [sub.stored for native in natives for sub in native.sub_images]
+    width = -(-max(one.width for one in stored) // multiple) * multiple
+    height = -(-max(one.height for one in stored) // multiple) * multiple
+    return [
+        replace(
+            native,
+            sub_images=tuple(
+                replace(sub, stored=sub.stored.grown(width, height, native.rectangle))
+                for sub in native.sub_images
+            ),
+        )
+        for native in natives
+    ]
+
+
+def _with_points(
+    tasks: list[_Task], scene: NativeScene, min_points: int, progress: Progress
+) -> list[_Task]:
+    """The tasks without the sub-images that see fewer sparse points."""
+    kept, dropped = [], []
+    for task in tasks:
+        native = task.native
+        seen = [points_seen(scene, native.name, sub.stored) for sub in native.sub_images]
+        dropped += [
+            sub.name for sub, n in zip(native.sub_images, seen, strict=True) if n < min_points
+        ]
+        subs = tuple(sub for sub, n in zip(native.sub_images, seen, strict=True) if n >= min_points)
+        if subs:
+            kept.append(replace(task, native=replace(native, sub_images=subs)))
+    if not kept:
+        raise InputError(
+            f"no sub-image sees {min_points} sparse points: ask for fewer, or for larger sub-images"
+        )
+    if dropped:
+        progress.note(
+            f"{len(dropped)} sub-images see fewer than {min_points} sparse points and are left out "
+            f"({', '.join(dropped[:3])}{' ...' if len(dropped) > 3 else ''})"
+        )
+    return kept
+
+
+def _check_options(
+    overlap: int, same_size: int, min_points: int, format: str | None, jpeg_quality: int
+) -> None:
     if overlap < 0:
         raise InputError(f"overlap = {overlap} is not possible: it must be at least 0 pixels")
+    if same_size < 0:
+        raise InputError(f"same_size = {same_size} is not possible: it must be at least 0 pixels")
+    if min_points < 0:
+        raise InputError(f"min_points = {min_points} is not possible: it must be at least 0")
     if format not in (None, "jpg", "png"):
         raise InputError(f"format = {format!r} is not possible: it must be 'jpg' or 'png'")
     if not 1 <= jpeg_quality <= 100:
@@ -135,7 +197,7 @@ def _check_inputs(
     model: pycolmap.Reconstruction,
     grid: Grid,
     overlap: int,
-    format: Format | None,
+    format: ImageFormat | None,
     undistort: UndistortOptions,
 ) -> tuple[list[_Task], list[LeftOut]]:
     """What is to be done, in order of names, and the photographs that cannot be opened."""

@@ -10,7 +10,7 @@ import sirpy
 PACKAGE = Path(sirpy.__file__).parent
 # Each line may import from the lines above it, and from modules to its left.
 LAYERS = """
-    errors files memory rectangle resources
+    engine_options errors files memory rectangle resources
     workspace progress
     _core
     photographs exif ply pictures
@@ -19,7 +19,10 @@ LAYERS = """
     lens sub_image_model native_scene
     view_selection planning
     cutting windows
-    colmap_workspace undistorter_options sir_undistorter colmap_launcher
+    engine_views
+    cmp_mvs mvsnet pmvs colmap_workspace
+    exporting
+    undistorter_options sir_undistorter colmap_launcher
     dense_stereo
     fusion
     overview cloud_picture html_report
