@@ -31,7 +31,7 @@ def write_cmp_mvs(
         InputError: this is no workspace, its sub-images are no JPEGs or too many.
         OutputError: the folder cannot be written.
     """
-    views = engine_views(workspace, most_sources=0)
+    views = engine_views(workspace, most_sources=0, progress=progress)
     if len(views) > _MOST_IMAGES:
         raise InputError(
             f"CMP-MVS numbers images with five digits, and there are {len(views)} sub-images: "

@@ -16,6 +16,7 @@ from typing import get_args
 from sirpy.engine_views import EngineView, engine_views
 from sirpy.files import fingerprint, write_text
 from sirpy.native_scene import NativeScene, read_native_scene
+from sirpy.progress import Progress
 from sirpy.view_selection import points_seen
 from sirpy.workspace import MapFolder, Pass, Workspace
 
@@ -72,7 +73,11 @@ class DenseLists:
 
 
 def write_dense_folder(
-    workspace: Workspace, source_images: int, *, min_points: int = 1
+    workspace: Workspace,
+    source_images: int,
+    *,
+    min_points: int = 1,
+    progress: Progress = Progress(),
 ) -> DenseLists:
     """Writes `stereo/` and the run scripts.
 
@@ -101,7 +106,7 @@ def write_dense_folder(
         for folder in map(workspace.stereo_folder, get_args(MapFolder)):
             (folder / parent).mkdir(parents=True, exist_ok=True)
     listed = [name for name in names if name not in few]
-    given = _write_few_points(workspace, scene, few, source_images)
+    given = _write_few_points(workspace, scene, few, source_images, progress) if few else []
     write_text(
         workspace.patch_match_config,
         "".join(f"{name}\n__auto__, {source_images}\n" for name in listed),
@@ -114,12 +119,18 @@ def write_dense_folder(
 
 
 def _write_few_points(
-    workspace: Workspace, scene: NativeScene, few: set[str], source_images: int
+    workspace: Workspace,
+    scene: NativeScene,
+    few: set[str],
+    source_images: int,
+    progress: Progress,
 ) -> list[str]:
     """Writes the lists; the names that are in one: not those without a depth range or source."""
     names = [sub.name for _, sub in workspace.sub_images()]
     by_photograph: defaultdict[str, list[tuple[EngineView, str]]] = defaultdict(list)
-    for view in engine_views(workspace, most_sources=source_images, only=few, scene=scene):
+    for view in engine_views(
+        workspace, most_sources=source_images, only=few, scene=scene, progress=progress
+    ):
         sources = [names[number] for number, _ in view.sources]
         # COLMAP takes a comma for the end of a name.
         if listed := ", ".join(name for name in sources if not {",", ";"} & set(name)):

@@ -18,6 +18,7 @@ from sirpy.engine_options import CopyPolicy
 from sirpy.errors import InputError
 from sirpy.files import place
 from sirpy.native_scene import Floats, Indices, NativeCamera, NativeScene, read_native_scene
+from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import MOST_SOURCES, SubImageViews, source_scores, sub_image_views
 from sirpy.workspace import NativeImage, SubImage, Workspace
@@ -61,6 +62,7 @@ def engine_views(
     most_sources: int | None = None,
     only: Container[str] | None = None,
     scene: NativeScene | None = None,
+    progress: Progress = Progress(),
 ) -> list[EngineView]:
     """The views of the sub-images of a workspace that was cut.
 
@@ -82,15 +84,20 @@ def engine_views(
     for native in natives:
         parts[native.name] = _Parts(first, [sub.stored for sub in native.sub_images])
         first += len(native.sub_images)
+    wanted = [
+        (number, native, sub)
+        for number, (native, sub) in enumerate(workspace.sub_images())
+        if only is None or sub.name in only
+    ]
     views: list[EngineView] = []
-    for number, (native, sub) in enumerate(workspace.sub_images()):
-        if only is not None and sub.name not in only:
-            continue
-        found = sub_image_views(scene, native, sub, num_sources=MOST_SOURCES, halo=0)
-        camera = scene.cameras[native.name]
-        sources = _ranked_parts(scene, native, sub, found, parts)[:most_sources]
-        depths = found.min_depth, found.max_depth
-        views.append(EngineView(number, camera, sub, *depths, tuple(sources)))
+    with progress.stage("views", len(wanted), "sub-image") as steps:
+        for number, native, sub in wanted:
+            found = sub_image_views(scene, native, sub, num_sources=MOST_SOURCES, halo=0)
+            camera = scene.cameras[native.name]
+            sources = _ranked_parts(scene, native, sub, found, parts)[:most_sources]
+            depths = found.min_depth, found.max_depth
+            views.append(EngineView(number, camera, sub, *depths, tuple(sources)))
+            steps.advance()
     return views
 
 

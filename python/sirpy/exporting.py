@@ -66,7 +66,7 @@ def _export_colmap(
             f"{workspace.folder} has the lists of `sirpy views`, which COLMAP reads as they are: cut "
             "into another folder to let COLMAP choose"
         )
-    lists = write_dense_folder(workspace, num_sources, min_points=min_points)
+    lists = write_dense_folder(workspace, num_sources, min_points=min_points, progress=progress)
     if lists.few_points:
         progress.note(
             f"{_sub_images(lists.few_points)} see fewer than {min_points} sparse points: the run "

@@ -16,6 +16,7 @@ from sirpy.engine_options import CopyPolicy, MvsnetDepths
 from sirpy.engine_views import EngineView, engine_views, place_images, precision_note, size_note
 from sirpy.files import write_text
 from sirpy.native_scene import Floats
+from sirpy.photographs import open_photograph
 from sirpy.progress import Progress
 from sirpy.workspace import Workspace
 
@@ -44,14 +45,23 @@ def write_mvsnet(
         InputError: this is no workspace, or its sub-images are no JPEGs.
         OutputError: the folder cannot be written.
     """
-    views = engine_views(workspace, most_sources=most_sources)
+    views = engine_views(workspace, most_sources=most_sources, progress=progress)
     place_images(workspace, views, workspace.mvsnet_image, copy_policy, _ENGINE)
     for view in views:
         write_text(workspace.mvsnet_camera(view.number), _camera(view, depths))
     write_text(workspace.mvsnet_pairs, _pairs(views))
-    for note in (size_note(views, _ENGINE), precision_note(views, _ENGINE)):
+    notes = size_note(views, _ENGINE), precision_note(views, _ENGINE), _grey_note(workspace, views)
+    for note in notes:
         if note:
             progress.note(note)
+
+
+def _grey_note(workspace: Workspace, views: Iterable[EngineView]) -> str:
+    images = (workspace.image(view.sub_image) for view in views)
+    grey = next((path for path in images if open_photograph(path).channels == 1), None)
+    if grey is None:
+        return ""
+    return f"{grey.name} is grey, and PatchmatchNet reads RGB only: make the photographs RGB first"
 
 
 def _camera(view: EngineView, depths: MvsnetDepths) -> str:

@@ -70,7 +70,7 @@ def write_pmvs(
             it does not have.
         OutputError: the folder cannot be written.
     """
-    views = engine_views(workspace)
+    views = engine_views(workspace, progress=progress)
     numbers = {view.sub_image.name: view.number for view in views}
     groups = [_numbers(cluster, numbers, workspace) for cluster in clusters]
     folder = workspace.pmvs

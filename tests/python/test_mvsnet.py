@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pycolmap
 import pytest
 from engine_scenes import Notes, assert_numbered_images_are, cut_town, expected_pixels
 from numpy.typing import NDArray
@@ -101,11 +102,32 @@ def test_intervals_reach_from_the_least_to_the_greatest_depth(
         assert start + int(count) * interval > high
 
 
-def test_a_view_without_sources_keeps_its_place(town: Path, tmp_path: Path) -> None:
+def test_grey_images_are_said(town: Path, tmp_path: Path) -> None:
     made = cut_town(town, tmp_path / "out")
+    name = next(sub.name for _, sub in made.sub_images())
+    image = pycolmap.Bitmap.read(made.images / name, False)
+    assert image.write(made.images / name)
     notes = Notes()
-    write_mvsnet(made, most_sources=1, progress=notes)
+    write_mvsnet(made, progress=notes)
+    assert f"{name} is grey, and PatchmatchNet reads RGB only" in notes.notes[-1]
+
+
+def test_a_view_without_points_keeps_its_place_and_is_passed_over(
+    town: Path, tmp_path: Path
+) -> None:
+    made = cut_town(town, tmp_path / "out")
+    model = pycolmap.Reconstruction(made.native_model)
+    blind = min(model.reg_image_ids(), key=lambda image_id: model.image(image_id).name)
+    for index, point in enumerate(model.image(blind).points2D):
+        if point.has_point3D():
+            model.delete_observation(blind, index)
+    model.write(made.native_model)
+    notes = Notes()
+    write_mvsnet(made, progress=notes)
     assert len(notes.notes) == 1 and "MVSNet expects images of one size" in notes.notes[0]
     lines = (made.folder / "pair.txt").read_text().splitlines()
-    assert lines[0] == "36"
-    assert len(lines) == 1 + 2 * 36
+    assert lines[:3] == ["36", "0", "0"]
+    assert len(list((made.folder / "cams").iterdir())) == 36
+    pairs = read_pairs(made.folder / "pair.txt")
+    assert [reference for reference, _ in pairs] == list(range(6, 36))
+    assert min(source for _, sources in pairs for source in sources) >= 6
