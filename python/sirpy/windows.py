@@ -28,14 +28,15 @@ def read_window(
 ) -> NDArray[np.uint8]:
     """The pixels of `rectangle`: (height, width) grey, or (height, width, 3) RGB with `color`.
 
-    Grey is (4899 R + 9617 G + 1868 B + 8192) >> 14 in whole numbers.
+    Grey is (4899 R + 9617 G + 1868 B + 8192) >> 14 in whole numbers. What no sub-image owns, where
+    some were left out (see `cut`), is black.
 
     Raises:
         ValueError: the rectangle is not inside the native image.
         InputError: a sub-image is missing or damaged.
     """
     shape = (rectangle.height, rectangle.width, 3) if color else (rectangle.height, rectangle.width)
-    window = np.empty(shape, np.uint8)
+    window = np.zeros(shape, np.uint8)
     for sub, part in _parts(native, rectangle):
         x0, y0 = part.x0 - sub.stored.x0, part.y0 - sub.stored.y0
         window[part.slices_in(rectangle)] = _core.read_window(
@@ -53,6 +54,8 @@ def read_map_window(
 ) -> NDArray[np.float32]:
     """`rectangle` of a depth map, (height, width), or of a normal map, (3, height, width).
 
+    Zero, as where there is no depth, where the sub-image was left out.
+
     Raises:
         ValueError: the rectangle is not inside the native image.
         InputError: a map is missing, truncated, or of another size than its sub-image.
@@ -61,7 +64,7 @@ def read_map_window(
         workspace.depth_map if kind == "depth" else workspace.normal_map
     )
     channels = 1 if kind == "depth" else 3
-    window = np.empty((channels, rectangle.height, rectangle.width), np.float32)
+    window = np.zeros((channels, rectangle.height, rectangle.width), np.float32)
     for sub, part in _parts(native, rectangle):
         planes = open_map(path_of(sub, of_pass), sub.stored, channels)
         pixels = planes[(slice(None), *part.slices_in(sub.stored))]

@@ -390,6 +390,11 @@ def test_sub_images_with_few_points_are_left_out_and_named(tmp_path: Path) -> No
     kept = pycolmap.Reconstruction(some.sparse)
     assert sorted(kept.image(i).name for i in kept.reg_image_ids()) == expected
     dropped = sorted(seen.keys() - set(expected))
+    # What nobody owns is black.
+    for full_native, native in zip(everything.natives, some.natives, strict=True):
+        for sub in full_native.sub_images:
+            if sub.name in dropped:
+                assert not read_window(some, native, sub.core).any()
     (note,) = [text for text in notes.notes if "fewer than" in text]
     assert note.startswith(f"{len(dropped)} sub-images see fewer than {least} sparse points")
     assert dropped[0] in note
