@@ -1,8 +1,8 @@
 """sirpy: dense 3D reconstruction at native resolution by sub-image recapture.
 
 Each stage is a function, and a command of the same name: `sparse`, `plan`, `cut`, `views`, `stereo`, `fuse`,
-`report`; `reconstruct` runs them all, `export` is for other engines. They are imported at use, so that
-`import sirpy` is quick.
+`report`; `reconstruct` runs them all. `recapture` gives one rectangle of one photograph, `export` serves other
+engines. They are imported at use, so that `import sirpy` is quick.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sirpy.html_report import report
     from sirpy.pipeline import reconstruct
     from sirpy.planning import plan
+    from sirpy.recapturing import recapture
     from sirpy.rectangle import Grid, Rectangle
     from sirpy.sparse_model import read_model, sparse
     from sirpy.view_selection import views
@@ -45,6 +46,7 @@ _HOME = {
     "plan": "planning",
     "read_model": "sparse_model",
     "read_window": "windows",
+    "recapture": "recapturing",
     "reconstruct": "pipeline",
     "report": "html_report",
     "sparse": "sparse_model",
@@ -65,6 +67,7 @@ __all__ = [
     "plan",
     "read_model",
     "read_window",
+    "recapture",
     "reconstruct",
     "report",
     "sparse",

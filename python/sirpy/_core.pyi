@@ -2,17 +2,21 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 # ---- sub_image: reading photographs, undistorting and cutting them, reading windows
 
-def jpeg_shape(path: Path) -> tuple[int, int, int]:
-    """(width, height, channels) from the header. InputError when it is no grey or RGB JPEG."""
+def image_header(
+    path: Path, bands: Literal["color", "all"]
+) -> tuple[tuple[int, int, int, int], bool, float]:
+    """Of a JPEG or PNG: (width, height, channels, bytes of a sample) as it will be read; has an
+    alpha channel; bytes per pixel that its decoder holds of the whole image. Raises InputError."""
 
-def png_shape(path: Path) -> tuple[int, int, int, bool]:
-    """(width, height, channels, has an alpha channel, which is not read)."""
+def count_samples(path: Path) -> NDArray[np.int64]:
+    """How often each value of 0 .. 65535 occurs in a JPEG or PNG, (65536,). Raises InputError."""
 
 class LensMap:
     """Positions in the photograph of the pixels of the undistorted image of `size` (width,
@@ -29,44 +33,56 @@ class Recapture:
 
     def __init__(
         self,
-        photograph: tuple[int, int, int],
+        *,
+        photograph: tuple[int, int, int, int],
         lens: LensMap | None,
+        interpolation: Literal["nearest", "bilinear", "bicubic", "lanczos"],
         size: tuple[int, int],
         files: Sequence[tuple[Path, int, int, int, int]],
         jpeg_quality: int,
+        jpeg_chroma: Literal["444", "422", "420"],
+        last_is_alpha: bool,
+        in_memory: bool,
     ) -> None:
-        """photograph: (width, height, channels); size: (width, height) of the image that is cut."""
+        """photograph: (width, height, channels, bytes of a sample); size: (width, height) of the
+        image that is cut; in_memory: the only file is not written."""
 
-    def push(self, rows: NDArray[np.uint8]) -> None:
+    @property
+    def first_row(self) -> int:
+        """Of the photograph, the first that is needed: the first to push."""
+
+    @property
+    def done(self) -> bool:
+        """No later row is needed."""
+
+    def push(self, rows: NDArray[Any]) -> None:
         """The next rows, n x width x channels. Raises InputError, OutputError."""
 
     def finish(self) -> None:
         """After the last row."""
 
-def recapture_jpeg(
-    path: Path,
-    photograph: tuple[int, int, int],
-    lens: LensMap | None,
-    size: tuple[int, int],
-    files: Sequence[tuple[Path, int, int, int, int]],
-    jpeg_quality: int,
-) -> None:
-    """All of a JPEG. Raises InputError (damaged), OutputError."""
+    def read(self, path: Path, bands: Literal["color", "all"]) -> None:
+        """All of that from a JPEG or PNG. Raises InputError (damaged), OutputError."""
 
-def recapture_png(
-    path: Path,
-    photograph: tuple[int, int, int],
-    lens: LensMap | None,
-    size: tuple[int, int],
-    files: Sequence[tuple[Path, int, int, int, int]],
-    jpeg_quality: int,
-) -> None:
-    """All of a PNG. Raises InputError (damaged), OutputError."""
+    def take_pixels(self) -> NDArray[Any]:
+        """What was kept in memory, height x width x channels; once, at the end."""
 
 def read_window(
-    path: Path, x0: int, y0: int, width: int, height: int, color: bool
-) -> NDArray[np.uint8]:
-    """A rectangle of a JPEG or PNG file: height x width grey, or height x width x 3 RGB."""
+    path: Path,
+    x0: int,
+    y0: int,
+    width: int,
+    height: int,
+    pixels: Literal["grey", "color", "all"],
+    white: int,
+) -> NDArray[Any]:
+    """A rectangle of a JPEG or PNG: 8-bit height x width grey or height x width x 3 RGB, with 16
+    bits scaled so that `white` is 255; or all channels as stored, height x width x n."""
+
+def convert_pixels(
+    stored: NDArray[Any], pixels: Literal["grey", "color", "all"], white: int
+) -> NDArray[Any]:
+    """The same of pixels in memory, height x width x channels."""
 
 # ---- stereo (sirpy.dense_stereo); maps of normals are (3, height, width)
 

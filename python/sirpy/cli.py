@@ -6,11 +6,11 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sirpy.engine_options import CopyPolicy, Engine, ImageFormat, MvsnetDepths
+from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
 
 if TYPE_CHECKING:
@@ -145,14 +145,25 @@ def cut(
     min_points: Annotated[
         int, typer.Option(help="Leave out sub-images that see fewer sparse points.")
     ] = 0,
-    format: Annotated[
-        ImageFormat | None, typer.Option(help="Of the sub-images; as the photographs if not given.")
+    masks: Annotated[
+        Path | None, typer.Option(help="Folder of masks NAME.png, black where not to be used.")
     ] = None,
+    bands: Annotated[str, typer.Option(help="color; all keeps alpha and infrared.")] = "color",
+    interpolation: Annotated[
+        str, typer.Option(help="nearest, bilinear (as COLMAP), bicubic or lanczos.")
+    ] = "bilinear",
+    format: Annotated[
+        str | None, typer.Option(help="jpg, png or tif; JPEG stays JPEG if not given.")
+    ] = None,
+    jpeg_quality: Annotated[int, typer.Option(help="1 to 100.")] = 95,
+    jpeg_chroma: Annotated[str, typer.Option(help="444, 422 or 420.")] = "444",
     quiet: Quiet = False,
 ) -> None:
     """Recapture: undistorts the photographs and cuts them into sub-images with their own cameras."""
+    from sirpy.cutting import PixelOptions
     from sirpy.cutting import cut as run
     from sirpy.memory import parse_memory
+    from sirpy.photographs import Encoding
     from sirpy.progress import make_progress
 
     workspace = run(
@@ -164,7 +175,14 @@ def cut(
         overlap=overlap,
         same_size=same_size,
         min_points=min_points,
-        format=format,
+        masks=masks,
+        # The option classes check the words.
+        pixels=PixelOptions(
+            cast(Any, bands),
+            cast(Any, interpolation),
+            cast(Any, format),
+            Encoding(jpeg_quality, cast(Any, jpeg_chroma)),
+        ),
         progress=make_progress(quiet),
     )
     print(f"sub-images: {workspace.images}")

@@ -57,8 +57,10 @@ patch_match --PatchMatchStereo.geom_consistency false
 """,
 }
 _PRODUCTS = """\
+set --
+[ ! -d "$workspace/masks" ] || set -- --StereoFusion.mask_path "$workspace/masks"
 "$colmap" stereo_fusion --workspace_path "$workspace" --workspace_format COLMAP \\
-  --input_type {kind} --StereoFusion.max_image_size -1 --output_path "$workspace/fused.ply"
+  --input_type {kind} --StereoFusion.max_image_size -1 --output_path "$workspace/fused.ply" "$@"
 "$colmap" poisson_mesher --input_path "$workspace/fused.ply" \\
   --output_path "$workspace/meshed-poisson.ply"
 """

@@ -4,42 +4,93 @@ models."""
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
+from typing import Literal, get_args
 
 import pycolmap
 
-from sirpy.engine_options import ImageFormat
+from sirpy import _core
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
 from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
 from sirpy.model_files import model_identity, read_model
-from sirpy.native_scene import NativeScene, native_scene
+from sirpy.native_scene import native_scene
 from sirpy.photographs import (
+    Bands,
+    Encoding,
+    Interpolation,
     Photograph,
     check_folders,
     check_names,
     open_photograph,
-    recapture_photograph,
+    recapture_to_files,
+    white_level,
 )
 from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
-from sirpy.view_selection import points_seen
+from sirpy.sub_image_sets import of_one_size, with_points
 from sirpy.workspace import LeftOut, NativeImage, SubImage, Workspace, check_writable
+
+Format = Literal["jpg", "png", "tif"]
 
 # To be raised when the same inputs and options begin to give other files.
 _VERSION = 2
 
 
 @dataclass(frozen=True)
+class PixelOptions:
+    """How pixels are read, resampled and written."""
+
+    bands: Bands = "color"
+    """"color": grey or RGB; "all": alpha and infrared too."""
+    interpolation: Interpolation = "bilinear"
+    """Between the pixels of a photograph; without lens distortion nothing is resampled."""
+    format: Format | None = None
+    """Of the sub-images; None keeps JPEG, and makes PNG of everything else, TIFF where PNG cannot
+    hold the bands. 16 bit stays 16 bit."""
+    encoding: Encoding = field(default_factory=Encoding)
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("bands", self.bands, get_args(Bands)),
+            ("interpolation", self.interpolation, get_args(Interpolation)),
+            ("format", self.format, (None, *get_args(Format))),
+        ):
+            if value not in choices:
+                known = ", ".join(str(choice) for choice in choices if choice)
+                raise InputError(f"{name} = {value!r} is not possible: it must be one of {known}")
+
+    def extension(self, photograph: Photograph) -> str:
+        """Of the sub-images of a photograph. Raises InputError where `format` cannot hold it."""
+        possible = {
+            "jpg": photograph.bits == 8 and photograph.channels in (1, 3),
+            "png": photograph.channels in (1, 3) or (photograph.channels <= 4 and photograph.alpha),
+            "tif": True,
+        }
+        if self.format is None:
+            if photograph.format == "JPEG":
+                return "jpg"
+            return "png" if possible["png"] else "tif"
+        if not possible[self.format]:
+            bits, channels = photograph.bits, photograph.channels
+            raise InputError(
+                f"{photograph.path} has {channels} channels of {bits} bits, which a {self.format} "
+                "cannot hold: choose tif, leave the format out, or convert it to 8-bit RGB"
+            )
+        return self.format
+
+
+@dataclass(frozen=True)
 class _Task:
-    """One photograph, its camera in the model, and how its undistorted image is cut."""
+    """One photograph, its camera in the model, its mask, and how its undistorted image is cut."""
 
     photograph: Photograph
     camera: pycolmap.Camera
     native: NativeImage
+    mask: Photograph | None
 
 
 def cut(
@@ -53,8 +104,8 @@ def cut(
     overlap: int = 0,
     same_size: int = 0,
     min_points: int = 0,
-    format: ImageFormat | None = None,
-    jpeg_quality: int = 95,
+    masks: Path | str | None = None,
+    pixels: PixelOptions = PixelOptions(),
     undistort: UndistortOptions = UndistortOptions(),
     progress: Progress = Progress(),
 ) -> Workspace:
@@ -75,17 +126,21 @@ def cut(
         same_size: with n > 0 the files have one size, a multiple of n pixels, by more overlap; as
             far as the photographs are large enough.
         min_points: sub-images that see fewer sparse points are left out, said by `progress.note`.
-        format: of the sub-images; None keeps JPEG and PNG, and makes PNG of everything else.
-        jpeg_quality: 1 to 100.
+        masks: folder of masks, black where a photograph is not to be used: NAME.png for the
+            photograph NAME, as COLMAP names them. They are undistorted and cut with it.
 
     Raises:
-        InputError: nothing was written: no usable photograph, a size that differs from its
-        camera's, a
-            grid larger than an image, an unsafe name, a bad option.
+        InputError: nothing was written: no usable photograph, a grid larger than an image, an
+            unsafe name, a bad option.
         OutputError: the output folder cannot be written.
     """
     images, output = Path(images), Path(output)
-    _check_options(overlap, same_size, min_points, format, jpeg_quality)
+    if overlap < 0:
+        raise InputError(f"overlap = {overlap} is not possible: it must be at least 0 pixels")
+    if same_size < 0:
+        raise InputError(f"same_size = {same_size} is not possible: it must be at least 0 pixels")
+    if min_points < 0:
+        raise InputError(f"min_points = {min_points} is not possible: it must be at least 0")
     check_folders(images, output)
     if not isinstance(model, pycolmap.Reconstruction):
         identity = model_identity(Path(model))
@@ -94,13 +149,19 @@ def cut(
         raise ValueError("a model that was read already needs an identity")
     if grid is None:
         grid = plan(native_scene(undistorted_model(model, undistort)), memory=memory).grid
-    tasks, left_out = _check_inputs(images, model, grid, overlap, format, undistort)
+    inputs = _Inputs(images, None if masks is None else Path(masks), pixels)
+    tasks, left_out = _check_inputs(inputs, model, grid, overlap, undistort)
     if same_size:
-        natives = of_one_size([task.native for task in tasks], same_size)
-        tasks = [replace(task, native=native) for task, native in zip(tasks, natives, strict=True)]
+        tasks = _of_natives(tasks, of_one_size([task.native for task in tasks], same_size))
     if min_points:
         scene = native_scene(undistorted_model(model, undistort))
-        tasks = _with_points(tasks, scene, min_points, progress)
+        kept, dropped = with_points([task.native for task in tasks], scene, min_points)
+        tasks = _of_natives(tasks, kept)
+        if dropped:
+            progress.note(
+                f"{len(dropped)} sub-images see fewer than {min_points} sparse points and are left "
+                f"out ({', '.join(dropped[:3])}{' ...' if len(dropped) > 3 else ''})"
+            )
     workspace = Workspace(output)
     _check_apart(images, workspace)
     check_writable(output)
@@ -110,8 +171,10 @@ def cut(
             _VERSION,
             identity,
             [(task.native.name, file_identity(task.photograph.path)) for task in tasks],
+            [task.mask and file_identity(task.mask.path) for task in tasks],
             [out.name for out in left_out],
-            [grid.columns, grid.rows, overlap, same_size, min_points, format, jpeg_quality],
+            [grid.columns, grid.rows, overlap, same_size, min_points],
+            asdict(pixels),
             asdict(undistort),
         ),
     )
@@ -120,7 +183,7 @@ def cut(
         return workspace
     for out in left_out:
         progress.note(f"{out.name} is left out: {out.reason}")
-    natives, damaged = _cut_photographs(tasks, workspace, jpeg_quality, undistort, progress)
+    natives, damaged = _cut_photographs(tasks, workspace, pixels, undistort, progress)
     left_out = sorted(left_out + damaged, key=lambda out: out.name)
     if not natives:
         raise _nothing_left(left_out)
@@ -131,81 +194,71 @@ def cut(
     return workspace
 
 
-def of_one_size(natives: list[NativeImage], multiple: int) -> list[NativeImage]:
-    """The native images with stored rectangles of one size, a multiple of `multiple` pixels.
+@dataclass(frozen=True)
+class _Inputs:
+    """Where photographs and masks are, and how they are read."""
 
-    The smallest such size that holds every stored rectangle; where a native image is smaller, its side.
-    """
-    stored = [sub.stored for native in natives for sub in native.sub_images]
-    width = -(-max(one.width for one in stored) // multiple) * multiple
-    height = -(-max(one.height for one in stored) // multiple) * multiple
+    images: Path
+    masks: Path | None
+    pixels: PixelOptions
+
+    def __post_init__(self) -> None:
+        if not self.images.is_dir():
+            raise InputError(
+                f"there is no folder {self.images}: give the folder that holds the photographs"
+            )
+        if self.masks is not None and not self.masks.is_dir():
+            raise InputError(
+                f"there is no folder {self.masks}: give the folder that holds the masks"
+            )
+
+    def photograph(self, name: str, camera: pycolmap.Camera) -> Photograph:
+        """Raises InputError when it cannot be used with its camera."""
+        return self._of_size(open_photograph(self.images / name, self.pixels.bands), camera)
+
+    def mask(self, name: str, camera: pycolmap.Camera) -> Photograph | None:
+        """None where the photograph has no mask; raises InputError as `photograph`."""
+        if self.masks is None:
+            return None
+        # COLMAP appends .png to the name; of a PNG the mask may have the name itself.
+        candidates = [f"{name}.png", *([name] if name.lower().endswith(".png") else [])]
+        for candidate in candidates:
+            if (self.masks / candidate).exists():
+                return self._of_size(open_photograph(self.masks / candidate), camera)
+        return None
+
+    @staticmethod
+    def _of_size(photograph: Photograph, camera: pycolmap.Camera) -> Photograph:
+        if (photograph.width, photograph.height) != (camera.width, camera.height):
+            raise InputError(
+                f"{photograph.path} has {photograph.width}x{photograph.height} pixels, but its "
+                f"camera {camera.camera_id} in the model {camera.width}x{camera.height}: give the "
+                "photographs that the model was solved with, or solve it again"
+            )
+        return photograph
+
+
+def _of_natives(tasks: list[_Task], natives: list[NativeImage]) -> list[_Task]:
+    """The tasks of `natives`, cut as those say."""
+    by_name = {native.name: native for native in natives}
     return [
-        replace(
-            native,
-            sub_images=tuple(
-                replace(sub, stored=sub.stored.grown(width, height, native.rectangle))
-                for sub in native.sub_images
-            ),
-        )
-        for native in natives
+        replace(task, native=by_name[task.native.name])
+        for task in tasks
+        if task.native.name in by_name
     ]
 
 
-def _with_points(
-    tasks: list[_Task], scene: NativeScene, min_points: int, progress: Progress
-) -> list[_Task]:
-    """The tasks without the sub-images that see fewer sparse points."""
-    kept, dropped = [], []
-    for task in tasks:
-        native = task.native
-        seen = [points_seen(scene, native.name, sub.stored) for sub in native.sub_images]
-        dropped += [
-            sub.name for sub, n in zip(native.sub_images, seen, strict=True) if n < min_points
-        ]
-        subs = tuple(sub for sub, n in zip(native.sub_images, seen, strict=True) if n >= min_points)
-        if subs:
-            kept.append(replace(task, native=replace(native, sub_images=subs)))
-    if not kept:
-        raise InputError(
-            f"no sub-image sees {min_points} sparse points: ask for fewer, or for larger sub-images"
-        )
-    if dropped:
-        progress.note(
-            f"{len(dropped)} sub-images see fewer than {min_points} sparse points and are left out "
-            f"({', '.join(dropped[:3])}{' ...' if len(dropped) > 3 else ''})"
-        )
-    return kept
-
-
-def _check_options(
-    overlap: int, same_size: int, min_points: int, format: str | None, jpeg_quality: int
-) -> None:
-    if overlap < 0:
-        raise InputError(f"overlap = {overlap} is not possible: it must be at least 0 pixels")
-    if same_size < 0:
-        raise InputError(f"same_size = {same_size} is not possible: it must be at least 0 pixels")
-    if min_points < 0:
-        raise InputError(f"min_points = {min_points} is not possible: it must be at least 0")
-    if format not in (None, "jpg", "png"):
-        raise InputError(f"format = {format!r} is not possible: it must be 'jpg' or 'png'")
-    if not 1 <= jpeg_quality <= 100:
-        raise InputError(f"jpeg_quality = {jpeg_quality} is not possible: it must be 1 to 100")
-
-
 def _check_inputs(
-    images: Path,
+    inputs: _Inputs,
     model: pycolmap.Reconstruction,
     grid: Grid,
     overlap: int,
-    format: ImageFormat | None,
     undistort: UndistortOptions,
 ) -> tuple[list[_Task], list[LeftOut]]:
-    """What is to be done, in order of names, and the photographs that cannot be opened."""
+    """What is to be done, in order of names, and the photographs that cannot be used."""
     posed = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
     if not posed:
         raise InputError("the model has no image with a pose: solve the cameras again")
-    if not images.is_dir():
-        raise InputError(f"there is no folder {images}: give the folder that holds the photographs")
     names = [image.name for image in posed]
     check_names(names)
     stems = _stems(names)
@@ -217,20 +270,15 @@ def _check_inputs(
     for image in posed:
         camera = model.camera(image.camera_id)
         try:
-            photograph = open_photograph(images / image.name)
+            photograph = inputs.photograph(image.name, camera)
+            mask = inputs.mask(image.name, camera)
         except InputError as error:
             left_out.append(LeftOut(image.name, str(error)))
             continue
-        if (photograph.width, photograph.height) != (camera.width, camera.height):
-            raise InputError(
-                f"photograph {photograph.path} has {photograph.width}x{photograph.height} pixels, "
-                f"but its camera {camera.camera_id} in the model {camera.width}x{camera.height}: "
-                "give the photographs that the model was solved with, or solve it again"
-            )
         target = targets[image.camera_id]
-        extension = format or ("jpg" if photograph.format == "JPEG" else "png")
+        extension = inputs.pixels.extension(photograph)
         native = _native_image(image.name, stems[image.name], extension, target, grid, overlap)
-        tasks.append(_Task(photograph, camera, native))
+        tasks.append(_Task(photograph, camera, replace(native, masked=mask is not None), mask))
     if not tasks:
         raise _nothing_left(left_out)
     return tasks, left_out
@@ -294,13 +342,13 @@ def _is_complete(workspace: Workspace) -> bool:
     since?"""
     if not workspace.index.exists():
         return False
-    return all(workspace.image(sub).exists() for _, sub in workspace.sub_images())
+    return all(path.exists() for one in workspace.natives for path in _paths(one, workspace))
 
 
 def _cut_photographs(
     tasks: list[_Task],
     workspace: Workspace,
-    jpeg_quality: int,
+    pixels: PixelOptions,
     undistort: UndistortOptions,
     progress: Progress,
 ) -> tuple[list[NativeImage], list[LeftOut]]:
@@ -309,42 +357,47 @@ def _cut_photographs(
     lens: tuple[int, Undistortion] | None = None
     with progress.stage("cut", len(tasks), "photograph") as steps:
         for task in tasks:
-            if not all(workspace.image(sub).exists() for sub in task.native.sub_images):
-                # Neighbours mostly share a camera; keeping one lens bounds the memory.
-                if lens is None or lens[0] != task.camera.camera_id:
-                    lens = task.camera.camera_id, undistortion(task.camera, undistort)
-                try:
-                    _cut_photograph(task, workspace, jpeg_quality, lens[1], progress)
-                except InputError as error:
-                    for sub in task.native.sub_images:
-                        workspace.image(sub).unlink(missing_ok=True)
-                    damaged.append(LeftOut(task.native.name, str(error)))
-                    progress.note(f"{task.native.name} is left out: {error}")
-                    steps.advance()
-                    continue
-            natives.append(task.native)
+            try:
+                if not all(path.exists() for path in _paths(task.native, workspace)):
+                    # Neighbours mostly share a camera; keeping one lens bounds the memory.
+                    if lens is None or lens[0] != task.camera.camera_id:
+                        lens = task.camera.camera_id, undistortion(task.camera, undistort)
+                    _cut_photograph(task, workspace, pixels, lens[1].lens, progress)
+                natives.append(replace(task.native, white=white_level(task.photograph)))
+            except InputError as error:
+                for path in _paths(task.native, workspace):
+                    path.unlink(missing_ok=True)
+                damaged.append(LeftOut(task.native.name, str(error)))
+                progress.note(f"{task.native.name} is left out: {error}")
             steps.advance()
     return natives, damaged
+
+
+def _paths(native: NativeImage, workspace: Workspace) -> list[Path]:
+    """The files that are cut of a native image."""
+    paths = [workspace.image(sub) for sub in native.sub_images]
+    return paths + [workspace.mask(sub) for sub in native.sub_images if native.masked]
 
 
 def _cut_photograph(
     task: _Task,
     workspace: Workspace,
-    jpeg_quality: int,
-    how: Undistortion,
+    pixels: PixelOptions,
+    lens: _core.LensMap | None,
     progress: Progress,
 ) -> None:
     if task.photograph.note:
         progress.note(task.photograph.note)
-    files = [
-        (
-            workspace.image(sub),
-            sub.stored.x0,
-            sub.stored.y0,
-            sub.stored.width,
-            sub.stored.height,
-        )
-        for sub in task.native.sub_images
-    ]
-    size = task.native.width, task.native.height
-    recapture_photograph(task.photograph, how.lens, size, files, jpeg_quality)
+    native = task.native
+    size = native.width, native.height
+    recapture_to_files(
+        task.photograph,
+        lens,
+        size,
+        [(workspace.image(sub), sub.stored) for sub in native.sub_images],
+        interpolation=pixels.interpolation,
+        encoding=pixels.encoding,
+    )
+    if task.mask is not None:
+        masks = [(workspace.mask(sub), sub.stored) for sub in native.sub_images]
+        recapture_to_files(task.mask, lens, size, masks, interpolation="nearest")

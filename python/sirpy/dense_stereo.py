@@ -25,7 +25,7 @@ from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import SubImageViews, read_views
-from sirpy.windows import read_map, read_map_window, read_window, write_map
+from sirpy.windows import read_map, read_map_window, read_mask_window, read_window, write_map
 from sirpy.workspace import NativeImage, Pass, SubImage, Workspace
 
 FloatMap = npt.NDArray[np.float32]
@@ -39,6 +39,7 @@ class Reason(IntFlag):
     HIGH_COST = 2  # it looks different in the sources, and too few of them agree all the same
     INCONSISTENT = 4  # too few sources measured the same depth
     NO_SOURCES = 8  # the whole sub-image shares too few sparse points with other photographs
+    MASKED = 16  # the photograph's mask is black there
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class _Problem:
             cam_from_world=camera.cam_from_world,
             x0=rectangle.x0,
             y0=rectangle.y0,
-            grey=read_window(self.workspace, native, rectangle),
+            grey=read_window(self.workspace, native.name, rectangle),
             depth=read("depth") if with_depth else None,
             normal=read("normal") if with_normal else None,
         )
@@ -199,7 +200,8 @@ def _geometric(problem: _Problem) -> DepthMap:
         * np.uint8(Reason.HIGH_COST)
         + (num_consistent < enough) * np.uint8(Reason.INCONSISTENT)
     )
-    return DepthMap(depth, normal, reason)
+    masked = read_mask_window(problem.workspace, problem.native.name, views.window)
+    return DepthMap(depth, normal, reason + masked * np.uint8(Reason.MASKED))
 
 
 def _nothing(problem: _Problem) -> DepthMap:

@@ -13,6 +13,4 @@ is DEPTH_MIN DEPTH_INTERVAL DEPTH_NUM DEPTH_MAX, as MVSNet, CasMVSNet, IterMVS, 
 CopyPolicy = Literal["copy", "hard-link", "soft-link"]
 """How a file gets a second name."""
 
-ImageFormat = Literal["jpg", "png"]
-
 FewPoints = Literal["keep", "drop"]

@@ -18,6 +18,7 @@ from sirpy.engine_options import CopyPolicy
 from sirpy.errors import InputError
 from sirpy.files import place
 from sirpy.native_scene import Floats, Indices, NativeCamera, NativeScene, read_native_scene
+from sirpy.photographs import open_photograph
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import MOST_SOURCES, SubImageViews, source_scores, sub_image_views
@@ -150,6 +151,15 @@ def precision_note(views: Iterable[EngineView], engine: str) -> str:
                 f"of this model, where a pixel is {pixel:.2g}: shift the model to its origin first"
             )
     return ""
+
+
+def grey_note(workspace: Workspace, views: Iterable[EngineView], engine: str) -> str:
+    """What to know before an engine that takes only RGB reads these; empty if they are."""
+    images = (workspace.image(view.sub_image) for view in views)
+    grey = next((path for path in images if open_photograph(path).channels == 1), None)
+    if grey is None:
+        return ""
+    return f"{grey.name} is grey, and {engine} reads RGB: make the photographs RGB first"
 
 
 class _Parts:

@@ -134,7 +134,7 @@ def _fuse_core(
         [depth_view(source.name, source.window) for source in one.sources],
         core_options,
     )
-    color = read_window(workspace, native, core, color=True).reshape(-1, 3)[pixel]
+    color = read_window(workspace, native.name, core, "color").reshape(-1, 3)[pixel]
     points = np.empty(len(pixel), POINT)
     for axis, (place, direction) in enumerate(zip("xyz", ("nx", "ny", "nz"), strict=True)):
         points[place], points[direction] = position[:, axis], normal[:, axis]

@@ -13,10 +13,16 @@ from collections.abc import Iterable
 import numpy as np
 
 from sirpy.engine_options import CopyPolicy, MvsnetDepths
-from sirpy.engine_views import EngineView, engine_views, place_images, precision_note, size_note
+from sirpy.engine_views import (
+    EngineView,
+    engine_views,
+    grey_note,
+    place_images,
+    precision_note,
+    size_note,
+)
 from sirpy.files import write_text
 from sirpy.native_scene import Floats
-from sirpy.photographs import open_photograph
 from sirpy.progress import Progress
 from sirpy.workspace import Workspace
 
@@ -50,18 +56,14 @@ def write_mvsnet(
     for view in views:
         write_text(workspace.mvsnet_camera(view.number), _camera(view, depths))
     write_text(workspace.mvsnet_pairs, _pairs(views))
-    notes = size_note(views, _ENGINE), precision_note(views, _ENGINE), _grey_note(workspace, views)
+    notes = (
+        size_note(views, _ENGINE),
+        precision_note(views, _ENGINE),
+        grey_note(workspace, views, _ENGINE),
+    )
     for note in notes:
         if note:
             progress.note(note)
-
-
-def _grey_note(workspace: Workspace, views: Iterable[EngineView]) -> str:
-    images = (workspace.image(view.sub_image) for view in views)
-    grey = next((path for path in images if open_photograph(path).channels == 1), None)
-    if grey is None:
-        return ""
-    return f"{grey.name} is grey, and PatchmatchNet reads RGB only: make the photographs RGB first"
 
 
 def _camera(view: EngineView, depths: MvsnetDepths) -> str:

@@ -1,8 +1,9 @@
-"""Photographs: finding them, reading their rows, decimating them.
+"""Photographs: finding them, reading their rows, recapturing and decimating them.
 
 JPEG and PNG go through libjpeg-turbo and libpng, everything else through GDAL by bands of rows;
-never whole when it can be avoided. Pixels are 8-bit grey or RGB as stored: an EXIF orientation is not
-applied, since COLMAP solves cameras without it.
+never whole when it can be avoided. Rows are decoded by one thread while those before are worked on.
+Pixels are as stored, 8 or 16 bit: an EXIF orientation is not applied, since COLMAP solves cameras
+without it.
 """
 
 from __future__ import annotations
@@ -10,35 +11,77 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sirpy import _core
 from sirpy.errors import InputError
+from sirpy.rectangle import Rectangle
 
 _EXTENSIONS = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".jp2", ".bmp"})
+_JPEG = b"\xff\xd8\xff"
+_PNG = b"\x89PNG"
 _CACHE = 64  # of GDAL's blocks, MB; its default is a share of the machine's memory
 _BAND_ROWS = 64
-_DECIMATED_JPEG_QUALITY = 97
+_BAND_COLUMNS = 4096
+_BRIGHTER_THAN_WHITE = 0.001  # share of the samples of a 16-bit photograph
+
+Bands = Literal["color", "all"]
+Interpolation = Literal["nearest", "bilinear", "bicubic", "lanczos"]
+Chroma = Literal["444", "422", "420"]
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """What the header of a photograph says. `channels` are those that are read: 1 grey or 3 RGB."""
+    """What the header of a photograph says."""
 
     path: Path
     width: int
     height: int
     channels: int
+    """Those that are read: 1 grey or 3 RGB, or every band."""
+    bits: int
+    """Of a sample: 8 or 16."""
     format: str
     """GDAL's name of it: JPEG, PNG, GTiff ..."""
+    bands: Bands = "color"
+    alpha: bool = False
+    """The last of `channels` is alpha."""
+    held_bytes_per_pixel: float = 0.0
+    """What its decoder holds of the whole photograph; 0 where rows stream."""
     note: str = ""
     """What the user should know about how it is read; mostly empty."""
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        return self.width, self.height, self.channels, self.bits // 8
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How JPEGs are written: quality 1 to 100, chroma at full resolution or subsampled."""
+
+    jpeg_quality: int = 95
+    jpeg_chroma: Chroma = "444"
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.jpeg_quality <= 100:
+            raise InputError(
+                f"jpeg_quality = {self.jpeg_quality} is not possible: it must be 1 to 100"
+            )
+        if self.jpeg_chroma not in ("444", "422", "420"):
+            raise InputError(
+                f"jpeg_chroma = {self.jpeg_chroma} is not possible: it must be 444, 422 or 420"
+            )
+
+
+_DECIMATED = Encoding(97)
 
 
 def find_photographs(folder: Path) -> list[str]:
@@ -95,39 +138,66 @@ def check_names(names: Iterable[str]) -> None:
             raise InputError(f"the model has an image with the unusable name {name!r}: rename it")
 
 
-def open_photograph(path: Path) -> Photograph:
+def open_photograph(path: Path, bands: Bands = "color") -> Photograph:
     """Reads the header.
 
+    Args:
+        bands: "color" for grey or RGB; "all" for alpha and infrared too.
+
     Raises:
-        InputError: missing, no image, or of a kind that is not supported (16-bit, CMYK, palette).
+        InputError: missing, no image, or of a kind that is not supported (CMYK, palette, float).
     """
     if not path.is_file():
         raise InputError(
             f"there is no photograph {path}: put it there, or take it out of the model"
         )
     start = _first_bytes(path)
-    if start.startswith(b"\xff\xd8\xff"):
-        width, height, channels = _core.jpeg_shape(path)
-        return Photograph(path, width, height, channels, "JPEG")
-    if start.startswith(b"\x89PNG"):
-        width, height, channels, alpha = _core.png_shape(path)
-        note = f"{path.name}: its alpha channel is not used" if alpha else ""
-        return Photograph(path, width, height, channels, "PNG", note)
+    if start.startswith((_JPEG, _PNG)):
+        (width, height, channels, sample_bytes), alpha, held = _core.image_header(path, bands)
+        note = f"{path.name}: its alpha channel is not used" if alpha and bands == "color" else ""
+        kind = "JPEG" if start.startswith(_JPEG) else "PNG"
+        return Photograph(
+            path,
+            width,
+            height,
+            channels,
+            8 * sample_bytes,
+            kind,
+            bands,
+            alpha and bands == "all",
+            held,
+            note,
+        )
     with _raster(path) as raster:
-        if any(kind != "uint8" for kind in raster.dtypes):
-            bits = np.dtype(raster.dtypes[0]).itemsize * 8
+        kinds = set(raster.dtypes)
+        if kinds not in ({"uint8"}, {"uint16"}):
             raise InputError(
-                f"photograph {path} has {bits}-bit samples, which are not supported yet: "
-                "convert it to 8 bit"
+                f"photograph {path} has samples of type {', '.join(sorted(kinds))}: convert them to "
+                "8 or 16 bit without sign"
             )
         if raster.colorinterp[0].name == "palette" and not _is_grey(raster.colormap(1)):
             raise InputError(f"photograph {path} has a palette: convert it to RGB or grey")
         channels = 3 if raster.count >= 3 else 1
+        alpha = raster.colorinterp[-1].name == "alpha"
         note = ""
         if raster.count != channels:
-            bands = "first three bands" if channels == 3 else "first band"
-            note = f"{path.name}: only the {bands} of {raster.count} are used"
-        return Photograph(path, raster.width, raster.height, channels, raster.driver, note)
+            named = "first three bands" if channels == 3 else "first band"
+            note = f"{path.name}: only the {named} of {raster.count} are used"
+        if bands == "all":
+            channels, note = raster.count, ""
+        bits = 8 * np.dtype(raster.dtypes[0]).itemsize
+        return Photograph(
+            path,
+            raster.width,
+            raster.height,
+            channels,
+            bits,
+            raster.driver,
+            bands,
+            alpha and bands == "all",
+            0.0,
+            note,
+        )
 
 
 def photograph_size(path: Path) -> tuple[int, int]:
@@ -136,41 +206,65 @@ def photograph_size(path: Path) -> tuple[int, int]:
     return photograph.width, photograph.height
 
 
-def recapture_photograph(
+def recapture_to_files(
     photograph: Photograph,
     lens: _core.LensMap | None,
     size: tuple[int, int],
-    files: list[tuple[Path, int, int, int, int]],
-    jpeg_quality: int,
+    files: list[tuple[Path, Rectangle]],
+    *,
+    interpolation: Interpolation = "bilinear",
+    encoding: Encoding = Encoding(),
 ) -> None:
-    """Undistorts a photograph and cuts it into `files`, (path, x0, y0, width, height), in one pass.
+    """Undistorts a photograph and cuts it into `files` in one pass over its rows.
 
     Args:
         lens: positions in the photograph of undistorted pixels; None copies the pixels.
         size: (width, height) of the image that is cut; the undistorted image is shrunk to it.
+        files: paths (.jpg, .png, .tif) and what they hold of that image, in its pixels.
 
     Raises:
         InputError: the photograph is damaged; files that were finished before are whole, and stay.
         OutputError: a file cannot be written.
     """
-    shape = (photograph.width, photograph.height, photograph.channels)
-    if photograph.format == "JPEG":
-        _core.recapture_jpeg(photograph.path, shape, lens, size, files, jpeg_quality)
-        return
+    _recapture(photograph, lens, size, files, interpolation, encoding, in_memory=False)
+
+
+def recapture_to_array(
+    photograph: Photograph,
+    lens: _core.LensMap | None,
+    size: tuple[int, int],
+    rectangle: Rectangle,
+    *,
+    interpolation: Interpolation = "bilinear",
+) -> NDArray[Any]:
+    """The same for one rectangle: its pixels, height x width x channels, uint8 or uint16."""
+    only = [(Path(), rectangle)]
+    made = _recapture(photograph, lens, size, only, interpolation, Encoding(), in_memory=True)
+    return made.take_pixels()
+
+
+def white_level(photograph: Photograph) -> int:
+    """The sample value that shows as white: of 16 bits, what one sample in a thousand exceeds.
+
+    Raises:
+        InputError: the photograph is damaged.
+    """
+    if photograph.bits == 8:
+        return 255
     if photograph.format == "PNG":
-        _core.recapture_png(photograph.path, shape, lens, size, files, jpeg_quality)
-        return
-    recapture = _core.Recapture(shape, lens, size, files, jpeg_quality)
-    for rows in _bands(photograph):
-        recapture.push(rows)
-    recapture.finish()
+        return _white(_core.count_samples(photograph.path))
+    count = np.zeros(1 << 16, np.int64)
+    for rows in _rows(photograph, 0):
+        count += np.bincount(rows[..., :3].ravel(), minlength=count.size)
+    return _white(count)
 
 
 def decimate(path: Path, output: Path, max_size: int) -> float:
-    """Writes a photograph with a longest side of at most `max_size` pixels as JPEG (4:4:4).
+    """Writes a photograph with a longest side of at most `max_size` pixels as 8-bit JPEG (4:4:4).
 
     Every output pixel is the mean of the input pixels under it, weighted by area. A photograph that
-    is small enough is written at its own size; it is read whole in any case, so damage shows.
+    is small enough is written at its own size; it is read whole in any case, so damage shows. Of 16
+    bits, what one pixel in a thousand exceeds becomes white.
 
     Returns:
         Native pixels per decimated pixel along the longest side, at least 1.
@@ -189,9 +283,69 @@ def decimate(path: Path, output: Path, max_size: int) -> float:
             max(1, (2 * photograph.width * max_size + longest) // (2 * longest)),
             max(1, (2 * photograph.height * max_size + longest) // (2 * longest)),
         )
-    files = [(output, 0, 0, *size)]
-    recapture_photograph(photograph, None, size, files, _DECIMATED_JPEG_QUALITY)
+    whole = Rectangle(0, 0, *size)
+    if photograph.bits == 8:
+        recapture_to_files(photograph, None, size, [(output, whole)], encoding=_DECIMATED)
+    else:
+        deep = recapture_to_array(photograph, None, size, whole)
+        white = _white(np.bincount(deep.ravel(), minlength=1 << 16))
+        pixels = _core.convert_pixels(deep, "color" if photograph.channels == 3 else "grey", white)
+        shown = replace(photograph, width=size[0], height=size[1], bits=8)
+        recapture = _begin(shown, None, size, [(output, whole)], "nearest", _DECIMATED)
+        recapture.push(pixels.reshape(size[1], size[0], -1))
+        recapture.finish()
     return longest / max(size)
+
+
+def _recapture(
+    photograph: Photograph,
+    lens: _core.LensMap | None,
+    size: tuple[int, int],
+    files: list[tuple[Path, Rectangle]],
+    interpolation: Interpolation,
+    encoding: Encoding,
+    *,
+    in_memory: bool,
+) -> _core.Recapture:
+    recapture = _begin(photograph, lens, size, files, interpolation, encoding, in_memory=in_memory)
+    if photograph.format in ("JPEG", "PNG"):
+        recapture.read(photograph.path, photograph.bands)
+        return recapture
+    for rows in _read_ahead(_rows(photograph, recapture.first_row)):
+        recapture.push(rows)
+        if recapture.done:
+            break
+    recapture.finish()
+    return recapture
+
+
+def _begin(
+    photograph: Photograph,
+    lens: _core.LensMap | None,
+    size: tuple[int, int],
+    files: list[tuple[Path, Rectangle]],
+    interpolation: Interpolation,
+    encoding: Encoding,
+    *,
+    in_memory: bool = False,
+) -> _core.Recapture:
+    return _core.Recapture(
+        photograph=photograph.shape,
+        lens=lens,
+        interpolation=interpolation,
+        size=size,
+        files=[(path, *stored.as_tuple()) for path, stored in files],
+        jpeg_quality=encoding.jpeg_quality,
+        jpeg_chroma=encoding.jpeg_chroma,
+        last_is_alpha=photograph.alpha,
+        in_memory=in_memory,
+    )
+
+
+def _white(count: NDArray[np.int64]) -> int:
+    """The least value above 0 that at most one sample in a thousand exceeds; `count` is by value."""
+    exceeding = count.sum() - np.cumsum(count)
+    return max(1, int(np.argmax(exceeding <= _BRIGHTER_THAN_WHITE * count.sum())))
 
 
 def _is_grey(colormap: dict[int, tuple[int, ...]]) -> bool:
@@ -225,17 +379,36 @@ def _raster(path: Path) -> Iterator[Any]:
         ) from error
 
 
-def _bands(photograph: Photograph) -> Iterator[NDArray[np.uint8]]:
-    """The rows, top to bottom, n x width x channels; whole rows of blocks, so that none is read
-    twice."""
+def _rows(photograph: Photograph, first: int) -> Iterator[NDArray[Any]]:
+    """Its rows from `first` on, n x width x channels; no block of the file is decoded twice."""
     from rasterio.windows import Window
 
+    indexes = list(range(1, photograph.channels + 1))
     with _raster(photograph.path) as raster:
-        block_rows = raster.block_shapes[0][0]
+        block_rows, block_columns = raster.block_shapes[0]
         step = max(block_rows, _BAND_ROWS // block_rows * block_rows)
-        for y in range(0, photograph.height, step):
-            rows = min(step, photograph.height - y)
-            window = Window(0, y, photograph.width, rows)
-            indexes = list(range(1, photograph.channels + 1))
-            band = raster.read(indexes, window=window)
-            yield np.ascontiguousarray(np.moveaxis(band, 0, 2))
+        across = max(block_columns, _BAND_COLUMNS // block_columns * block_columns)
+        for y in range(first // step * step, photograph.height, step):
+            count = min(step, photograph.height - y)
+            rows = np.empty(
+                (count, photograph.width, photograph.channels), f"uint{photograph.bits}"
+            )
+            # Some blocks at a time, so that GDAL's cache never has to hold a row of them.
+            for x in range(0, photograph.width, across):
+                columns = min(across, photograph.width - x)
+                part = raster.read(indexes, window=Window(x, y, columns, count))
+                rows[:, x : x + columns] = np.moveaxis(part, 0, 2)
+            yield rows[max(0, first - y) :]
+
+
+def _read_ahead(blocks: Iterator[NDArray[Any]]) -> Iterator[NDArray[Any]]:
+    """The same blocks; the next one is made by another thread meanwhile."""
+    # All of it happens in that one thread, since GDAL's environment is one of the thread.
+    with ThreadPoolExecutor(1) as thread:
+        try:
+            coming = thread.submit(next, blocks, None)
+            while (block := coming.result()) is not None:
+                coming = thread.submit(next, blocks, None)
+                yield block
+        finally:
+            thread.submit(blocks.close).result()  # type: ignore[attr-defined]

@@ -2,9 +2,9 @@
 
 pmvs/visualize/00000000.jpg, pmvs/txt/00000000.txt (CONTOUR and the 3x4 projection matrix, pixel centres
 at whole numbers as in Bundler's own converter), pmvs/vis.dat (which sub-images show the same surface),
-pmvs/option-all, and pmvs/option-0000 ... for clusters. There is no bundle.rd.out: COLMAP would read it in
-place of txt/ and set every principal point to the centre of its image, which is not where that of a
-sub-image lies.
+pmvs/option-all, pmvs/option-0000 ... for clusters, and pmvs/masks/00000000.pgm where there are masks.
+There is no bundle.rd.out: COLMAP would read it in place of txt/ and set every principal point to the
+centre of its image, which is not where that of a sub-image lies.
 """
 
 from __future__ import annotations
@@ -13,11 +13,14 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from sirpy.engine_options import CopyPolicy
-from sirpy.engine_views import EngineView, engine_views, place_images, precision_note
+from sirpy.engine_views import EngineView, engine_views, grey_note, place_images, precision_note
 from sirpy.errors import InputError
-from sirpy.files import write_text
+from sirpy.files import write_text, written_whole
 from sirpy.progress import Progress
+from sirpy.windows import read_mask_window
 from sirpy.workspace import Workspace
 
 _ENGINE = "PMVS"
@@ -80,12 +83,26 @@ def write_pmvs(
     for view in views:
         rows = [" ".join(map(repr, row)) for row in view.img_from_world.tolist()]
         write_text(folder / "txt" / f"{view.number:08}.txt", "\n".join(["CONTOUR", *rows, ""]))
+    for view in views:
+        if workspace.native(view.camera.name).masked:
+            _write_mask(folder / "masks" / f"{view.number:08}.pgm", workspace, view)
     (folder / "models").mkdir(exist_ok=True)  # PMVS writes its results there
     write_text(folder / "vis.dat", _visibility(views))
     _write_options(folder, [view.number for view in views], groups)
     write_text(workspace.pmvs_script, _SCRIPT, executable=True)
-    if note := precision_note(views, _ENGINE):
-        progress.note(note)
+    for note in (precision_note(views, _ENGINE), grey_note(workspace, views, _ENGINE)):
+        if note:
+            progress.note(note)
+
+
+def _write_mask(path: Path, workspace: Workspace, view: EngineView) -> None:
+    """PMVS takes binary PGM, 0 where pixels are not to be used."""
+    stored = view.sub_image.stored
+    masked = read_mask_window(workspace, view.camera.name, stored)
+    pixels = np.where(masked, 0, 255).astype(np.uint8)
+    with written_whole(path) as temporary:
+        header = f"P5\n{stored.width} {stored.height}\n255\n"
+        temporary.write_bytes(header.encode() + pixels.tobytes())
 
 
 def _numbers(cluster: Sequence[str], numbers: dict[str, int], workspace: Workspace) -> list[int]:

@@ -41,7 +41,10 @@ class Rectangle:
 
     def as_list(self) -> list[int]:
         """[x0, y0, width, height], as it stands in files."""
-        return [self.x0, self.y0, self.width, self.height]
+        return list(self.as_tuple())
+
+    def as_tuple(self) -> tuple[int, int, int, int]:
+        return self.x0, self.y0, self.width, self.height
 
     def padded(self, margin: int) -> Rectangle:
         """This rectangle with `margin` more pixels on each side."""

@@ -47,11 +47,12 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
     """
     if options.num_threads > 0:
         os.environ["OMP_NUM_THREADS"] = str(options.num_threads)  # read when the core is loaded
-    from sirpy.cutting import cut
+    from sirpy.cutting import PixelOptions, cut
     from sirpy.exporting import export
     from sirpy.files import fingerprint
     from sirpy.lens import UndistortOptions
     from sirpy.model_files import model_identity, read_model
+    from sirpy.photographs import Encoding
 
     undistort = UndistortOptions(
         **{field.name: getattr(options, field.name) for field in fields(UndistortOptions)}
@@ -69,9 +70,13 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         overlap=options.sub_image_overlap,
         same_size=_size_multiple(options.output_type),
         min_points=options.min_points if options.few_points == "drop" else 0,
-        # The engines that number their images ask for JPEG.
-        format=None if options.output_type == "COLMAP" else "jpg",
-        jpeg_quality=options.jpeg_quality,
+        masks=options.mask_path,
+        pixels=PixelOptions(
+            options.bands,
+            options.interpolation,
+            options.image_format,
+            Encoding(options.jpeg_quality, options.jpeg_chroma),
+        ),
         undistort=undistort,
         progress=progress,
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NoReturn, get_args
+from typing import Any, Literal, NoReturn, get_args
 
 from sirpy.engine_options import CopyPolicy, Engine, FewPoints, MvsnetDepths
 from sirpy.errors import InputError
@@ -42,6 +42,7 @@ class Options:
     input_path: Path
     output_path: Path
     image_list_path: Path | None
+    mask_path: Path | None
     output_type: Engine
     copy_policy: CopyPolicy | None
     num_patch_match_src_images: int
@@ -57,6 +58,10 @@ class Options:
     roi_max_x: float
     roi_max_y: float
     jpeg_quality: int
+    jpeg_chroma: Literal["444", "422", "420"]
+    image_format: Literal["jpg", "png", "tif"] | None
+    bands: Literal["color", "all"]
+    interpolation: Literal["nearest", "bilinear", "bicubic", "lanczos"]
     num_threads: int
     sub_image_columns: int | None
     sub_image_rows: int | None
@@ -112,7 +117,22 @@ def _parser() -> argparse.ArgumentParser:
         help="copy, soft-link or hard-link: how PMVS, CMP-MVS, MVSNET get their numbered images; "
         "hard-link if not given",
     )
-    paths.add_argument("--jpeg_quality", type=int, default=-1, help="1 to 100; -1 is 95")
+    paths.add_argument("--mask_path", type=Path, help="folder of masks NAME.png, cut with them")
+    pixels = parser.add_argument_group("pixels")
+    pixels.add_argument("--jpeg_quality", type=int, default=-1, help="1 to 100; -1 is 95")
+    pixels.add_argument("--jpeg_chroma", default="444", choices=("444", "422", "420"))
+    pixels.add_argument(
+        "--image_format", choices=("jpg", "png", "tif"), help="of sub-images; JPEG stays JPEG"
+    )
+    pixels.add_argument(
+        "--bands", default="color", choices=("color", "all"), help="all keeps alpha and infrared"
+    )
+    pixels.add_argument(
+        "--interpolation",
+        default="bilinear",
+        choices=("nearest", "bilinear", "bicubic", "lanczos"),
+        help="COLMAP's is bilinear",
+    )
     paths.add_argument(
         "--num_patch_match_src_images",
         type=int,
@@ -185,6 +205,13 @@ def _checked(values: dict[str, Any], notes: list[str]) -> Options:
         if values[name] is None:
             raise InputError(f"--{name} is missing: see colmap sir_undistorter --help")
     _check_choice(values, "output_type", Engine)
+    if values["output_type"] != "COLMAP":
+        if values["image_format"] not in (None, "jpg"):
+            raise InputError(
+                f"--output_type {values['output_type']} takes JPEG: leave --image_format out, or "
+                "give jpg"
+            )
+        values["image_format"] = "jpg"
     _check_choice(values, "few_points", FewPoints)
     _check_choice(values, "mvsnet_depths", MvsnetDepths)
     if values["copy_policy"] is not None:

@@ -7,42 +7,137 @@ little-endian float32 planes, row-major.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Literal
+from threading import Lock
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sirpy import _core
 from sirpy.errors import InputError
-from sirpy.files import written_whole
+from sirpy.files import file_identity, written_whole
+from sirpy.photographs import open_photograph, recapture_to_array
 from sirpy.rectangle import Rectangle
 from sirpy.workspace import NativeImage, Pass, SubImage, Workspace
 
+CACHE_BYTES = 64_000_000  # of decoded sub-images, in each process
 _LONGEST_HEADER = 64
+_BYTES_PER_PIXEL = {"grey": 1, "color": 3, "all": 8}
+
+
+Pixels = Literal["grey", "color", "all"]
 
 
 def read_window(
-    workspace: Workspace, native: NativeImage, rectangle: Rectangle, *, color: bool = False
-) -> NDArray[np.uint8]:
-    """The pixels of `rectangle`: (height, width) grey, or (height, width, 3) RGB with `color`.
+    workspace: Workspace, native_name: str, rectangle: Rectangle, pixels: Pixels = "grey"
+) -> NDArray[Any]:
+    """The pixels of `rectangle` of a native image; 0 where no sub-image holds any.
 
-    Grey is (4899 R + 9617 G + 1868 B + 8192) >> 14 in whole numbers. What no sub-image owns, where
-    some were left out (see `cut`), is black.
+    Args:
+        rectangle: in native pixels.
+        pixels: "grey": 8 bit, (height, width), (4899 R + 9617 G + 1868 B + 8192) >> 14 in whole
+            numbers; "color": 8 bit, (height, width, 3); "all": as stored, (height, width, channels),
+            8 or 16 bit. 16-bit samples become 8 bit so that the brightest photograph's white is
+            255.
 
     Raises:
         ValueError: the rectangle is not inside the native image.
-        InputError: a sub-image is missing or damaged.
+        InputError: there is no such native image, or a sub-image is missing or damaged.
     """
-    shape = (rectangle.height, rectangle.width, 3) if color else (rectangle.height, rectangle.width)
-    window = np.zeros(shape, np.uint8)
+    native = workspace.native(native_name)
+    white = max(one.white for one in workspace.natives)
+    window: NDArray[Any] | None = None
     for sub, part in _parts(native, rectangle):
-        x0, y0 = part.x0 - sub.stored.x0, part.y0 - sub.stored.y0
-        window[part.slices_in(rectangle)] = _core.read_window(
-            workspace.image(sub), x0, y0, part.width, part.height, color
-        )
+        rows, columns = part.slices_in(sub.stored)
+        seen = _CACHE.read(workspace.image(sub), sub.stored, (rows, columns), pixels, white)
+        if window is None:
+            window = np.zeros((rectangle.height, rectangle.width, *seen.shape[2:]), seen.dtype)
+        window[part.slices_in(rectangle)] = seen
+    if window is None:
+        shape = (rectangle.height, rectangle.width)
+        return np.zeros(shape if pixels == "grey" else (*shape, 3), np.uint8)
     return window
+
+
+def read_mask_window(
+    workspace: Workspace, native_name: str, rectangle: Rectangle
+) -> NDArray[np.bool_]:
+    """True where the pixels of `rectangle` are masked out, (height, width).
+
+    Raises:
+        ValueError, InputError: as `read_window`.
+    """
+    native = workspace.native(native_name)
+    masked = np.zeros((rectangle.height, rectangle.width), np.bool_)
+    if native.masked:
+        for sub, part in _parts(native, rectangle):
+            slices = part.slices_in(sub.stored)
+            seen = _CACHE.read(workspace.mask(sub), sub.stored, slices, "grey", 255)
+            masked[part.slices_in(rectangle)] = seen == 0
+    return masked
+
+
+class _ImageCache:
+    """Decoded sub-images, those used last, within a bound of memory; safe with threads.
+
+    A window of a compressed image costs nearly what the whole costs, so the whole is kept where it
+    takes no more than a quarter of the bound.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes = most_bytes
+        self._bytes = 0
+        self._images: OrderedDict[tuple[object, ...], NDArray[Any]] = OrderedDict()
+        self._lock = Lock()
+
+    def read(
+        self,
+        path: Path,
+        stored: Rectangle,
+        slices: tuple[slice, slice],
+        pixels: Pixels,
+        white: int,
+    ) -> NDArray[Any]:
+        """Rows and columns of an image file of the size of `stored`."""
+        rows, columns = slices
+        try:
+            identity = file_identity(path)
+        except OSError as error:
+            raise InputError(
+                f"cannot open image {path} ({error.strerror}): cut the photographs again"
+            ) from None
+        key = (path, identity, pixels, white)
+        with self._lock:
+            if (found := self._images.get(key)) is not None:
+                self._images.move_to_end(key)
+                return found[slices]
+        size = _BYTES_PER_PIXEL[pixels] * stored.area
+        if 4 * size > self._most_bytes:
+            window = columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
+            return _read_file(path, Rectangle(*window), pixels, white)
+        image = _read_file(path, Rectangle(0, 0, stored.width, stored.height), pixels, white)
+        with self._lock:
+            if key not in self._images:
+                self._images[key] = image
+                self._bytes += image.nbytes
+            while self._bytes > self._most_bytes:
+                self._bytes -= self._images.popitem(last=False)[1].nbytes
+        return image[slices]
+
+
+_CACHE = _ImageCache(CACHE_BYTES)
+
+
+def _read_file(path: Path, window: Rectangle, pixels: Pixels, white: int) -> NDArray[Any]:
+    if path.suffix == ".tif":
+        photograph = open_photograph(path, "all" if pixels == "all" else "color")
+        size = photograph.width, photograph.height
+        stored = recapture_to_array(photograph, None, size, window)
+        return _core.convert_pixels(stored, pixels, white)
+    return _core.read_window(path, window.x0, window.y0, window.width, window.height, pixels, white)
 
 
 def read_map_window(
@@ -54,7 +149,7 @@ def read_map_window(
 ) -> NDArray[np.float32]:
     """`rectangle` of a depth map, (height, width), or of a normal map, (3, height, width).
 
-    Zero, as where there is no depth, where the sub-image was left out.
+    0 where no sub-image holds any.
 
     Raises:
         ValueError: the rectangle is not inside the native image.

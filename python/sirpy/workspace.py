@@ -5,6 +5,7 @@ OUT/stages.json          fingerprint of inputs and options of each stage: what m
 OUT/sfm/                 decimated photographs, database and model of structure from motion
 OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, native resolution)
 OUT/images/              the sub-images NAME_rRR_cCC.ext
+OUT/masks/               their masks NAME_rRR_cCC.ext.png, where the photographs have some
 OUT/sparse/              COLMAP model of the sub-images
 OUT/views.json           sources, depth range and source windows of each sub-image
 OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
@@ -44,6 +45,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "sir.json",
         "native",
         "images",
+        "masks",
         "sparse",
         "cams",
         "pair.txt",
@@ -85,12 +87,18 @@ class SubImage:
 
 @dataclass(frozen=True)
 class NativeImage:
-    """An undistorted native image: size in pixels and the sub-images that tile it, row by row."""
+    """An undistorted native image: size in pixels and the sub-images that tile it, row by row.
+
+    `white` is the sample value that shows as white, 255 unless samples have 16 bits; `masked` says
+    that its sub-images have masks.
+    """
 
     name: str
     width: int
     height: int
     sub_images: tuple[SubImage, ...]
+    white: int = 255
+    masked: bool = False
 
     @property
     def rectangle(self) -> Rectangle:
@@ -192,6 +200,14 @@ class Workspace:
     def image(self, sub_image: SubImage) -> Path:
         return self.images / sub_image.name
 
+    @property
+    def masks(self) -> Path:
+        return self.folder / "masks"
+
+    def mask(self, sub_image: SubImage) -> Path:
+        """Black where pixels are not to be used; named as COLMAP names masks."""
+        return self.masks / f"{sub_image.name}.png"
+
     def mvsnet_image(self, number: int) -> Path:
         return self.images / f"{number:08}.jpg"
 
@@ -262,6 +278,8 @@ class Workspace:
                         "name": native.name,
                         "width": native.width,
                         "height": native.height,
+                        "white": native.white,
+                        "masked": native.masked,
                         "sub_images": [
                             {
                                 "name": sub.name,
@@ -311,9 +329,24 @@ class Workspace:
                     )
                     for sub in image["sub_images"]
                 ),
+                image["white"],
+                image["masked"],
             )
             for image in self._index["images"]
         )
+
+    def native(self, name: str) -> NativeImage:
+        """Raises InputError when the workspace has no native image of that name."""
+        try:
+            return self._natives_by_name[name]
+        except KeyError:
+            raise InputError(
+                f"{self.folder} has no photograph {name}: give a name that its sir.json has"
+            ) from None
+
+    @cached_property
+    def _natives_by_name(self) -> dict[str, NativeImage]:
+        return {native.name: native for native in self.natives}
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
@@ -373,6 +406,7 @@ class Workspace:
     def _forget_index(self) -> None:
         self.__dict__.pop("_index", None)
         self.__dict__.pop("natives", None)
+        self.__dict__.pop("_natives_by_name", None)
 
     def fingerprint_of(self, stage: str) -> str:
         """The fingerprint that `stage` was begun with; empty when it never was."""

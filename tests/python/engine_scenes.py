@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
-from sirpy.cutting import cut
+from sirpy.cutting import PixelOptions, cut
 from sirpy.native_scene import NativeCamera, NativeScene, Observations, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
@@ -25,7 +25,7 @@ class Notes(Progress):
         self.notes.append(text)
 
 
-def cut_town(town: Path, output: Path, same_size: int = 0) -> Workspace:
+def cut_town(town: Path, output: Path, same_size: int = 0, masks: Path | None = None) -> Workspace:
     """The 6 photographs of `town` in 3 x 2 sub-images each, off centre and with overlap."""
     return cut(
         town / "images",
@@ -34,7 +34,8 @@ def cut_town(town: Path, output: Path, same_size: int = 0) -> Workspace:
         grid=Grid(3, 2),
         overlap=8,
         same_size=same_size,
-        format="jpg",
+        masks=masks,
+        pixels=PixelOptions(format="jpg"),
     )
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pycolmap
+import rasterio
 from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning
 
 # One camera of 90 x 70 pixels for every model of COLMAP that a pinhole camera can replace.
 LENSES = {
@@ -54,6 +57,29 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     color = np.asarray(pycolmap.Bitmap.read(path, True).to_array())
     grey = np.asarray(pycolmap.Bitmap.read(path, False).to_array()).reshape(color.shape[:2])
     return grey if (color == color[..., :1]).all() else color
+
+
+def write_raster(path: Path, pixels: NDArray[np.uint8 | np.uint16], **options: object) -> None:
+    """(height, width, channels) in the format of the extension, through GDAL."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    height, width, count = pixels.shape
+    with (
+        warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning),
+        rasterio.Env(GDAL_PAM_ENABLED=False),
+        rasterio.open(
+            path, "w", width=width, height=height, count=count, dtype=pixels.dtype, **options
+        ) as raster,
+    ):
+        raster.write(pixels.transpose(2, 0, 1))
+
+
+def read_raster(path: Path) -> NDArray[np.uint8 | np.uint16]:
+    """(height, width, channels) as stored, through GDAL."""
+    with (
+        warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning),
+        rasterio.open(path) as raster,
+    ):
+        return raster.read().transpose(1, 2, 0)
 
 
 def model_of(

@@ -89,16 +89,17 @@ def test_output_that_cannot_be_written(town: Path, tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == "in the way"
 
 
-def test_image_of_another_size_than_its_camera(town: Path, tmp_path: Path, output: Path) -> None:
+def test_images_of_another_size_than_their_camera(town: Path, tmp_path: Path, output: Path) -> None:
     from sirpy.synthetic import render_scene
 
     other = render_scene(tmp_path / "other", image_count=2, size=(120, 90))
     images = tmp_path / "images"
     shutil.copytree(town / "images", images)
     names = sorted(path.name for path in images.iterdir())
-    shutil.copy(next(iter(sorted((other / "images").iterdir()))), images / names[1])
+    for name in names:
+        shutil.copy(next(iter(sorted((other / "images").iterdir()))), images / name)
     run = _reconstruct(images, output, "--model", str(town / "sparse"))
-    _assert_refused(run, output, names[1], "120x90", "360x240")
+    _assert_refused(run, output, names[0], "120x90", "360x240")
 
 
 def test_truncated_photograph_is_left_out_and_reported(

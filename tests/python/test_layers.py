@@ -16,8 +16,8 @@ LAYERS = """
     photographs exif ply pictures
     flight truth synthetic
     model_files self_calibration structure_from_motion sparse_model
-    lens sub_image_model native_scene
-    view_selection planning
+    lens recapturing sub_image_model native_scene
+    view_selection planning sub_image_sets
     cutting windows
     engine_views
     cmp_mvs mvsnet pmvs colmap_workspace

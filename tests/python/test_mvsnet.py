@@ -109,7 +109,7 @@ def test_grey_images_are_said(town: Path, tmp_path: Path) -> None:
     assert image.write(made.images / name)
     notes = Notes()
     write_mvsnet(made, progress=notes)
-    assert f"{name} is grey, and PatchmatchNet reads RGB only" in notes.notes[-1]
+    assert f"{name} is grey, and MVSNet reads RGB" in notes.notes[-1]
 
 
 def test_a_view_without_points_keeps_its_place_and_is_passed_over(

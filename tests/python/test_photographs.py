@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from sirpy.errors import InputError, OutputError
 from sirpy.photographs import (
     check_names,
@@ -12,20 +11,12 @@ from sirpy.photographs import (
     find_photographs,
     open_photograph,
     photograph_size,
-    recapture_photograph,
+    recapture_to_array,
+    recapture_to_files,
+    white_level,
 )
-from sub_image_scenes import noise, read_image, write_image
-
-
-def write_raster(path: Path, bands: np.ndarray, **options: object) -> None:
-    count, height, width = bands.shape
-    with (
-        rasterio.Env(GDAL_PAM_ENABLED=False),
-        rasterio.open(
-            path, "w", width=width, height=height, count=count, dtype=bands.dtype, **options
-        ) as raster,
-    ):
-        raster.write(bands)
+from sirpy.rectangle import Rectangle
+from sub_image_scenes import noise, read_image, write_image, write_raster
 
 
 def copied(path: Path, folder: Path) -> np.ndarray:
@@ -33,7 +24,7 @@ def copied(path: Path, folder: Path) -> np.ndarray:
     photograph = open_photograph(path)
     size = photograph.width, photograph.height
     output = folder / f"{path.name}.copied.png"
-    recapture_photograph(photograph, None, size, [(output, 0, 0, *size)], 95)
+    recapture_to_files(photograph, None, size, [(output, Rectangle(0, 0, *size))])
     return read_image(output)
 
 
@@ -81,26 +72,56 @@ def test_rows_of_every_format_are_the_pixels(
 
 
 def test_tiled_tiff_is_read_by_rows_of_tiles(tmp_path: Path) -> None:
-    pixels = noise((3, 150, 100))
+    pixels = noise((150, 100, 3))
     write_raster(tmp_path / "a.tif", pixels, tiled=True, blockxsize=32, blockysize=32)
-    np.testing.assert_array_equal(copied(tmp_path / "a.tif", tmp_path), pixels.transpose(1, 2, 0))
+    np.testing.assert_array_equal(copied(tmp_path / "a.tif", tmp_path), pixels)
 
 
 def test_alpha_is_left_out_and_said_so(tmp_path: Path) -> None:
-    pixels = noise((4, 20, 30))
+    pixels = noise((20, 30, 4))
     for name, note in (("a.png", "alpha channel"), ("a.tif", "first three bands of 4")):
         write_raster(tmp_path / name, pixels)
         assert note in open_photograph(tmp_path / name).note
-        np.testing.assert_array_equal(
-            copied(tmp_path / name, tmp_path), pixels[:3].transpose(1, 2, 0)
-        )
+        np.testing.assert_array_equal(copied(tmp_path / name, tmp_path), pixels[..., :3])
 
 
-def test_16_bit_is_refused(tmp_path: Path) -> None:
-    for name in ("a.tif", "a.png"):
-        write_raster(tmp_path / name, noise((1, 20, 30)).astype(np.uint16))
-        with pytest.raises(InputError, match="16-bit samples, which are not supported yet"):
-            photograph_size(tmp_path / name)
+@pytest.mark.parametrize("kind", ["png", "tif", "tiled", "jp2"])
+@pytest.mark.parametrize("count", [1, 3, 4])
+def test_16_bit_rows_are_the_pixels(tmp_path: Path, kind: str, count: int) -> None:
+    pixels = noise((150, 100, 2 * count)).view(np.uint16)
+    path = tmp_path / f"a.{'tif' if kind == 'tiled' else kind}"
+    options = {
+        "tiled": {"tiled": True, "blockxsize": 32, "blockysize": 32, "compress": "lzw"},
+        "jp2": {"QUALITY": 100, "REVERSIBLE": "YES"},
+    }
+    write_raster(path, pixels, **options.get(kind, {}))
+    photograph = open_photograph(path, "all")
+    assert (photograph.bits, photograph.channels) == (16, count)
+    for window in (Rectangle(0, 0, 100, 150), Rectangle(7, 71, 30, 40), Rectangle(99, 149, 1, 1)):
+        part = recapture_to_array(photograph, None, (100, 150), window)
+        rows, columns = window.slices_in(Rectangle(0, 0, 100, 150))
+        np.testing.assert_array_equal(part, pixels[rows, columns])
+    if count == 4:
+        assert open_photograph(path).channels == 3
+
+
+@pytest.mark.parametrize("kind", ["float32", "int16", "uint32"])
+def test_other_samples_are_refused(tmp_path: Path, kind: str) -> None:
+    write_raster(tmp_path / "a.tif", noise((20, 30, 1)).astype(kind))
+    with pytest.raises(InputError, match=f"samples of type {kind}: convert them"):
+        photograph_size(tmp_path / "a.tif")
+
+
+def test_16_bit_photographs_are_decimated_to_their_own_white(tmp_path: Path) -> None:
+    # 12 bits of data in 16, and one hot pixel.
+    pixels = np.tile(np.linspace(0, 4095, 300).astype(np.uint16)[:, None], (200, 1, 1))
+    pixels[0, 0, 0] = 65535
+    for name in ("a.png", "a.tif"):
+        write_raster(tmp_path / name, pixels)
+        assert 4070 < white_level(open_photograph(tmp_path / name)) <= 4095
+        decimate(tmp_path / name, tmp_path / "small.jpg", 100)
+        small = read_image(tmp_path / "small.jpg").astype(int)
+        assert np.abs(small[33] - np.linspace(0.5, 254.5, 100)).max() < 3
 
 
 @pytest.mark.parametrize("extension", ["jpg", "png", "tif"])
@@ -154,7 +175,7 @@ def test_shrinking_is_the_mean_over_the_footprint(tmp_path: Path, size: tuple[in
     write_image(tmp_path / "a.png", pixels)
     output = tmp_path / "small.png"
     photograph = open_photograph(tmp_path / "a.png")
-    recapture_photograph(photograph, None, size, [(output, 0, 0, *size)], 95)
+    recapture_to_files(photograph, None, size, [(output, Rectangle(0, 0, *size))])
     exact = area_mean(pixels.astype(object), size[1])
     exact = area_mean(exact.transpose(1, 0, 2), size[0]).transpose(1, 0, 2)
     np.testing.assert_array_equal(read_image(output), np.floor(exact + Fraction(1, 2)).astype(int))
@@ -185,13 +206,13 @@ def test_a_folder_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> N
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_is_an_output_error(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", noise((200, 300)))
-    for name in ("small.jpg", "small.png"):
+    for name in ("small.jpg", "small.png", "small.tif"):
         # What the writer opens is the temporary name; here it leads to a disk without space.
         temporary = tmp_path / f".small.{os.getpid()}.tmp.{name[-3:]}"
         temporary.symlink_to("/dev/full")
         photograph = open_photograph(tmp_path / "a.png")
         with pytest.raises(OutputError, match="No space left on device; free some space"):
-            recapture_photograph(
-                photograph, None, (300, 200), [(tmp_path / name, 0, 0, 300, 200)], 95
+            recapture_to_files(
+                photograph, None, (300, 200), [(tmp_path / name, Rectangle(0, 0, 300, 200))]
             )
         assert not (tmp_path / name).exists()

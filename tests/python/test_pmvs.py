@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from engine_scenes import (
     assert_numbered_images_are,
@@ -77,6 +78,26 @@ def test_images_have_their_numbers(workspace: Workspace) -> None:
     assert len(list(folder.iterdir())) == 36
     assert (workspace.folder / "pmvs" / "models").is_dir()
     assert not (workspace.folder / "pmvs" / "bundle.rd.out").exists()
+
+
+def test_masks_are_binary_pgm_where_there_are_some(town: Path, tmp_path: Path) -> None:
+    name = min(path.name for path in (town / "images").iterdir())
+    width, height = pycolmap.Bitmap.read(town / "images" / name, True).to_array().shape[1::-1]
+    mask = np.full((height, width), 255, np.uint8)
+    mask[:, : width // 2] = 0
+    (tmp_path / "masks").mkdir()
+    assert pycolmap.Bitmap.from_array(mask).write(tmp_path / "masks" / f"{name}.png")
+    made = cut_town(town, tmp_path / "out", masks=tmp_path / "masks")
+    write_pmvs(made)
+    masks = sorted((made.folder / "pmvs" / "masks").iterdir())
+    assert [path.name for path in masks] == [f"{number:08}.pgm" for number in range(6)]
+    for path, sub in zip(masks, made.natives[0].sub_images, strict=True):
+        magic, size, white, pixels = path.read_bytes().split(b"\n", 3)
+        assert (magic, white) == (b"P5", b"255")
+        assert size == f"{sub.stored.width} {sub.stored.height}".encode()
+        seen = np.frombuffer(pixels, np.uint8).reshape(sub.stored.height, sub.stored.width)
+        written = np.asarray(pycolmap.Bitmap.read(made.mask(sub), False).to_array())
+        np.testing.assert_array_equal(seen, written.reshape(seen.shape))
 
 
 def test_visibility_is_symmetric_and_between_photographs(workspace: Workspace) -> None:

@@ -13,6 +13,7 @@ from bumpy_ground import FOCAL, HEIGHT, WIDTH, write_photographs
 from sirpy.errors import InputError
 from sirpy.rectangle import Grid
 from sirpy.sir_undistorter import grid_for_side, main
+from sub_image_scenes import write_raster
 
 
 @pytest.fixture
@@ -107,7 +108,19 @@ def test_the_run_scripts_call_colmap_at_full_resolution(
     assert fusion[0] == "stereo_fusion"
     assert fusion[1]["--input_type"] == kind
     assert fusion[1]["--StereoFusion.max_image_size"] == "-1"
+    assert "--StereoFusion.mask_path" not in fusion[1]
     assert mesher[0] == "poisson_mesher"
+
+
+def test_the_run_scripts_hand_over_the_masks(inputs: list[str], tmp_path: Path) -> None:
+    (tmp_path / "black").mkdir()
+    mask = pycolmap.Bitmap.from_array(np.zeros((HEIGHT, WIDTH), np.uint8))
+    assert mask.write(tmp_path / "black" / "1.jpg.png")
+    assert main([*inputs, f"--mask_path={tmp_path / 'black'}"]) == 0
+    out = tmp_path / "out"
+    _, (command, options), _ = _commands(out / "run-colmap-geometric.sh", tmp_path)
+    assert command == "stereo_fusion"
+    assert options["--StereoFusion.mask_path"] == str(out / "masks")
 
 
 @pytest.mark.parametrize("kind", ["geometric", "photometric"])
@@ -234,3 +247,17 @@ def test_grid_for_side_counts_the_overlap() -> None:
     assert grid_for_side(sizes, 500, 10) == Grid(3, 2)
     with pytest.raises(InputError, match="at least 21"):
         grid_for_side(sizes, 20, 10)
+
+
+def test_16_bit_photographs_are_refused_where_the_engine_takes_jpeg(
+    inputs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deep = np.zeros((HEIGHT, WIDTH, 3), np.uint16)
+    for number in (1, 2):
+        write_raster(tmp_path / "deep.tif", deep)
+        (tmp_path / "deep.tif").rename(tmp_path / "photographs" / f"{number}.jpg")
+    assert main([*inputs, "--output_type=PMVS"]) == 2
+    error = capsys.readouterr().err
+    assert "has 3 channels of 16 bits, which a jpg cannot hold" in error
+    assert "convert it to 8-bit RGB" in error
+    assert not (tmp_path / "out").exists()

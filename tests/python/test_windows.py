@@ -42,10 +42,10 @@ def test_windows_across_borders_are_the_uncut_image(
 ) -> None:
     native = workspace.natives[0]
     part = pixels[rectangle.slices_in(native.rectangle)]
-    np.testing.assert_array_equal(read_window(workspace, native, rectangle, color=True), part)
+    np.testing.assert_array_equal(read_window(workspace, native.name, rectangle, "color"), part)
     red, green, blue = np.moveaxis(part.astype(int), 2, 0)
     grey = (4899 * red + 9617 * green + 1868 * blue + 8192) >> 14
-    np.testing.assert_array_equal(read_window(workspace, native, rectangle), grey)
+    np.testing.assert_array_equal(read_window(workspace, native.name, rectangle), grey)
 
 
 def test_jpeg_windows_are_parts_of_the_whole(tmp_path: Path, pixels: np.ndarray) -> None:
@@ -60,9 +60,9 @@ def test_jpeg_windows_are_parts_of_the_whole(tmp_path: Path, pixels: np.ndarray)
             grid=Grid(2, 2),
         )
         native = workspace.natives[0]
-        whole = read_window(workspace, native, native.rectangle, color=True)
+        whole = read_window(workspace, native.name, native.rectangle, "color")
         rectangle = Rectangle(13, 21, 61, 40)
-        part = read_window(workspace, native, rectangle, color=True)
+        part = read_window(workspace, native.name, rectangle, "color")
         np.testing.assert_array_equal(part, whole[rectangle.slices_in(native.rectangle)])
 
 
@@ -70,7 +70,7 @@ def test_windows_beyond_the_image_are_refused(workspace: Workspace) -> None:
     native = workspace.natives[0]
     for rectangle in (Rectangle(-1, 0, 5, 5), Rectangle(0, 60, 5, 11), Rectangle(3, 3, 0, 4)):
         with pytest.raises(ValueError, match="is not inside"):
-            read_window(workspace, native, rectangle)
+            read_window(workspace, native.name, rectangle)
 
 
 @pytest.mark.parametrize("kind", ["depth", "normal"])

@@ -9,9 +9,8 @@
 
 #include "bindings/arrays.h"
 #include "bindings/bindings.h"
-#include "sub_image/jpeg_reader.h"
+#include "sub_image/image_reader.h"
 #include "sub_image/lens_map.h"
-#include "sub_image/png_reader.h"
 #include "sub_image/read_window.h"
 #include "sub_image/recapture.h"
 
@@ -21,20 +20,49 @@ namespace sirpy {
 namespace {
 
 namespace fs = std::filesystem;
-using Shape = std::tuple<int64_t, int64_t, int>;                        // width, height, channels
-using Size = std::tuple<int64_t, int64_t>;                              // width, height
+using Shape = std::tuple<int64_t, int64_t, int, int>;  // width, height, channels, bytes of a sample
+using Size = std::tuple<int64_t, int64_t>;             // width, height
 using File = std::tuple<fs::path, int64_t, int64_t, int64_t, int64_t>;  // path, x0, y0, w, h
 
+ImageShape ToImageShape(const Shape& shape) {
+  const auto& [width, height, channels, sample_bytes] = shape;
+  return {width, height, channels, sample_bytes};
+}
+
+Shape FromImageShape(const ImageShape& shape) {
+  return {shape.width, shape.height, shape.channels, shape.sample_bytes};
+}
+
+// One of the words of `choices`, each at the place of its value.
+template <typename Value>
+Value Choice(const std::string& word, const std::vector<std::string>& choices) {
+  for (size_t i = 0; i < choices.size(); ++i) {
+    if (choices[i] == word) return static_cast<Value>(i);
+  }
+  throw py::value_error(word + " is not one of the choices");
+}
+
+Bands ToBands(const std::string& word) { return Choice<Bands>(word, {"color", "all"}); }
+
+Pixels ToPixels(const std::string& word) { return Choice<Pixels>(word, {"grey", "color", "all"}); }
+
 RecaptureTask MakeTask(const Shape& photograph, const std::shared_ptr<LensMap>& lens,
-                       const Size& size, const std::vector<File>& files, int jpeg_quality) {
+                       const std::string& interpolation, const Size& size,
+                       const std::vector<File>& files, int jpeg_quality,
+                       const std::string& jpeg_chroma, bool last_is_alpha, bool in_memory) {
   RecaptureTask task;
-  std::tie(task.photograph.width, task.photograph.height, task.photograph.channels) = photograph;
+  task.photograph = ToImageShape(photograph);
   task.lens = lens;
+  task.interpolation =
+      Choice<Interpolation>(interpolation, {"nearest", "bilinear", "bicubic", "lanczos"});
   std::tie(task.width, task.height) = size;
   for (const auto& [path, x0, y0, width, height] : files) {
     task.sub_images.push_back({path, {x0, y0, width, height}});
   }
   task.writer.jpeg_quality = jpeg_quality;
+  task.writer.jpeg_chroma = Choice<JpegChroma>(jpeg_chroma, {"444", "422", "420"});
+  task.writer.last_is_alpha = last_is_alpha;
+  task.in_memory = in_memory;
   return task;
 }
 
@@ -58,60 +86,78 @@ Array<double> LensMapAt(const LensMap& lens, const Array<double>& points) {
   return out;
 }
 
-void PushRows(Recapture& recapture, const Array<uint8_t>& rows) {
-  CheckDimensions(rows, 3, "rows");
-  const ImageShape& shape = recapture.photograph();
-  if (rows.shape(1) != shape.width || rows.shape(2) != shape.channels) {
-    throw py::value_error("rows must be n x width x channels of the photograph");
+// Rows of a photograph as numpy has them: n x width x channels of uint8 or uint16, contiguous.
+const uint8_t* RowData(const py::array& rows, const ImageShape& shape) {
+  if (rows.ndim() != 3 || rows.shape(1) != shape.width || rows.shape(2) != shape.channels ||
+      !(rows.flags() & py::array::c_style) || rows.dtype().kind() != 'u' ||
+      rows.itemsize() != shape.sample_bytes) {
+    throw py::value_error("rows must be n x width x channels of the photograph, contiguous");
   }
-  py::gil_scoped_release release;
-  recapture.Push(rows.data(), rows.shape(0));
+  return static_cast<const uint8_t*>(rows.data());
 }
 
-Array<uint8_t> ReadWindow(const fs::path& path, int64_t x0, int64_t y0, int64_t width,
-                          int64_t height, bool color) {
+// height x width x channels, or height x width where `flat`; takes the bytes without a copy.
+py::array ImageArray(const ImageShape& shape, std::vector<uint8_t>&& bytes, bool flat) {
+  std::vector<py::ssize_t> sides{shape.height, shape.width};
+  if (!flat) sides.push_back(shape.channels);
+  auto owned = std::make_unique<std::vector<uint8_t>>(std::move(bytes));
+  const void* data = owned->data();
+  py::capsule owner(owned.release(), [](void* p) { delete static_cast<std::vector<uint8_t>*>(p); });
+  const py::dtype type =
+      shape.sample_bytes == 1 ? py::dtype::of<uint8_t>() : py::dtype::of<uint16_t>();
+  return py::array(type, sides, data, owner);
+}
+
+py::array BindReadWindow(const fs::path& path, int64_t x0, int64_t y0, int64_t width,
+                         int64_t height, const std::string& pixels, int white) {
+  const Pixels kind = ToPixels(pixels);
   const Rectangle window{x0, y0, width, height};
-  std::vector<uint8_t> pixels;
+  if (width < 1 || height < 1) throw py::value_error("a window has at least one pixel");
+  WindowPixels read;
   {
     py::gil_scoped_release release;
-    pixels = color ? ReadColor(path, window) : ReadGrey(path, window);
+    read = ReadWindow(path, window, kind, white);
   }
-  std::vector<py::ssize_t> shape{height, width};
-  if (color) shape.push_back(3);
-  return Array<uint8_t>(shape, pixels.data());
+  return ImageArray(read.shape, std::move(read.bytes), kind == Pixels::kGrey);
 }
 
-void DefRecaptureFile(py::module_& module, const char* name,
-                      void (*recapture)(const fs::path&, RecaptureTask)) {
-  module.def(
-      name,
-      [recapture](const fs::path& path, const Shape& photograph,
-                  const std::shared_ptr<LensMap>& lens, const Size& size,
-                  const std::vector<File>& files, int jpeg_quality) {
-        RecaptureTask task = MakeTask(photograph, lens, size, files, jpeg_quality);
-        py::gil_scoped_release release;
-        recapture(path, std::move(task));
-      },
-      py::arg("path"), py::arg("photograph"), py::arg("lens"), py::arg("size"), py::arg("files"),
-      py::arg("jpeg_quality"));
+py::array BindConvertPixels(const py::array& stored, const std::string& pixels, int white) {
+  const Pixels kind = ToPixels(pixels);
+  if (stored.ndim() != 3) throw py::value_error("pixels must be height x width x channels");
+  const ImageShape shape{stored.shape(1), stored.shape(0), static_cast<int>(stored.shape(2)),
+                         static_cast<int>(stored.itemsize())};
+  const uint8_t* data = RowData(stored, shape);
+  const ImageShape converted = ConvertedShape(shape, {0, 0, shape.width, shape.height}, kind);
+  std::vector<uint8_t> bytes(converted.RowBytes() * converted.height);
+  {
+    py::gil_scoped_release release;
+    ConvertPixels(data, shape, shape.width * shape.height, kind, white, bytes.data());
+  }
+  return ImageArray(converted, std::move(bytes), kind == Pixels::kGrey);
 }
 
 }  // namespace
 
 void BindSubImage(py::module_& module) {
   module.def(
-      "jpeg_shape",
-      [](const fs::path& path) {
-        const ImageShape shape = JpegReader(path).shape();
-        return Shape{shape.width, shape.height, shape.channels};
+      "image_header",
+      [](const fs::path& path, const std::string& bands) {
+        const auto reader = OpenImageReader(path, ToBands(bands));
+        return std::make_tuple(FromImageShape(reader->shape()), reader->has_alpha(),
+                               reader->held_bytes_per_pixel());
       },
-      py::arg("path"));
+      py::arg("path"), py::arg("bands"));
+
   module.def(
-      "png_shape",
+      "count_samples",
       [](const fs::path& path) {
-        const PngReader reader(path);
-        const ImageShape& shape = reader.shape();
-        return std::make_tuple(shape.width, shape.height, shape.channels, reader.has_alpha());
+        std::vector<int64_t> count;
+        {
+          py::gil_scoped_release release;
+          count = CountSamples(*OpenImageReader(path, Bands::kColor));
+        }
+        const auto size = static_cast<py::ssize_t>(count.size());
+        return ToArray(std::move(count), {size});
       },
       py::arg("path"));
 
@@ -121,20 +167,42 @@ void BindSubImage(py::module_& module) {
 
   py::class_<Recapture>(module, "Recapture")
       .def(py::init([](const Shape& photograph, const std::shared_ptr<LensMap>& lens,
-                       const Size& size, const std::vector<File>& files, int jpeg_quality) {
-             return std::make_unique<Recapture>(
-                 MakeTask(photograph, lens, size, files, jpeg_quality));
+                       const std::string& interpolation, const Size& size,
+                       const std::vector<File>& files, int jpeg_quality,
+                       const std::string& jpeg_chroma, bool last_is_alpha, bool in_memory) {
+             return std::make_unique<Recapture>(MakeTask(photograph, lens, interpolation, size,
+                                                         files, jpeg_quality, jpeg_chroma,
+                                                         last_is_alpha, in_memory));
            }),
-           py::arg("photograph"), py::arg("lens"), py::arg("size"), py::arg("files"),
-           py::arg("jpeg_quality"))
-      .def("push", &PushRows, py::arg("rows").noconvert())
-      .def("finish", &Recapture::Finish, py::call_guard<py::gil_scoped_release>());
+           py::kw_only(), py::arg("photograph"), py::arg("lens"), py::arg("interpolation"),
+           py::arg("size"), py::arg("files"), py::arg("jpeg_quality"), py::arg("jpeg_chroma"),
+           py::arg("last_is_alpha"), py::arg("in_memory"))
+      .def_property_readonly("first_row", &Recapture::first_row)
+      .def_property_readonly("done", &Recapture::Done)
+      .def(
+          "push",
+          [](Recapture& self, const py::array& rows) {
+            const uint8_t* data = RowData(rows, self.photograph());
+            py::gil_scoped_release release;
+            self.Push(data, rows.shape(0));
+          },
+          py::arg("rows").noconvert())
+      .def("finish", &Recapture::Finish, py::call_guard<py::gil_scoped_release>())
+      .def(
+          "read",
+          [](Recapture& self, const fs::path& path, const std::string& bands) {
+            const Bands kind = ToBands(bands);
+            py::gil_scoped_release release;
+            RecaptureFrom(*OpenImageReader(path, kind), self);
+          },
+          py::arg("path"), py::arg("bands"))
+      .def("take_pixels",
+           [](Recapture& self) { return ImageArray(self.kept_shape(), self.TakePixels(), false); });
 
-  DefRecaptureFile(module, "recapture_jpeg", &RecaptureJpeg);
-  DefRecaptureFile(module, "recapture_png", &RecapturePng);
-
-  module.def("read_window", &ReadWindow, py::arg("path"), py::arg("x0"), py::arg("y0"),
-             py::arg("width"), py::arg("height"), py::arg("color"));
+  module.def("read_window", &BindReadWindow, py::arg("path"), py::arg("x0"), py::arg("y0"),
+             py::arg("width"), py::arg("height"), py::arg("pixels"), py::arg("white"));
+  module.def("convert_pixels", &BindConvertPixels, py::arg("stored").noconvert(), py::arg("pixels"),
+             py::arg("white"));
 }
 
 }  // namespace sirpy

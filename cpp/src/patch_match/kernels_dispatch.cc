@@ -1,7 +1,4 @@
-#include <cstdlib>
-#include <cstring>
-
-#include "error.h"
+#include "instruction_set.h"
 #include "patch_match/level.h"
 
 namespace sirpy::patch_match {
@@ -19,15 +16,16 @@ extern const Kernels kKernels;
 #endif
 
 const Kernels& BestKernels() {
-  const char* asked = std::getenv("SIRPY_ISA");
-  const auto wanted = [&](const char* name) { return !asked || std::strcmp(asked, name) == 0; };
+  switch (BestInstructionSet()) {
 #ifdef SIRPY_X86
-  if (__builtin_cpu_supports("avx512f") && wanted("avx512")) return avx512::kKernels;
-  if (__builtin_cpu_supports("avx2") && wanted("avx2")) return avx2::kKernels;
+    case InstructionSet::kAvx512:
+      return avx512::kKernels;
+    case InstructionSet::kAvx2:
+      return avx2::kKernels;
 #endif
-  if (wanted("baseline")) return baseline::kKernels;
-  throw InputError("SIRPY_ISA=" + std::string(asked) +
-                   " is not an instruction set of this processor: use baseline, avx2 or avx512");
+    default:
+      return baseline::kKernels;
+  }
 }
 
 }  // namespace sirpy::patch_match

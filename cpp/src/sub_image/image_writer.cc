@@ -5,6 +5,7 @@
 
 #include "sub_image/jpeg_writer.h"
 #include "sub_image/png_writer.h"
+#include "sub_image/tiff_writer.h"
 
 namespace sirpy {
 
@@ -21,10 +22,16 @@ std::unique_ptr<ImageWriter> OpenImageWriter(const std::filesystem::path& path,
   options.Validate();
   const std::string extension = path.extension().string();
   if (extension == ".jpg" || extension == ".jpeg") {
-    return std::make_unique<JpegWriter>(path, shape, options.jpeg_quality);
+    if (shape.sample_bytes == 1 && (shape.channels == 1 || shape.channels == 3)) {
+      return std::make_unique<JpegWriter>(path, shape, options);
+    }
+  } else if (extension == ".png") {
+    if (shape.channels <= 4) return std::make_unique<PngWriter>(path, shape);
+  } else if (extension == ".tif") {
+    return std::make_unique<TiffWriter>(path, shape, options);
   }
-  if (extension == ".png") return std::make_unique<PngWriter>(path, shape);
-  throw std::invalid_argument(path.string() + " is neither .jpg nor .png");
+  throw std::invalid_argument(path.string() + " cannot hold " + std::to_string(shape.channels) +
+                              " channels of " + std::to_string(8 * shape.sample_bytes) + " bits");
 }
 
 }  // namespace sirpy

@@ -3,12 +3,25 @@
 #include <cerrno>
 #include <cstring>
 #include <string>
-#include <vector>
 
 #include "error.h"
 #include "sub_image/jpeg_error.h"
 
 namespace sirpy {
+namespace {
+
+// libjpeg keeps two bytes for each coefficient of an image that comes in several scans.
+double CoefficientBytesPerPixel(const jpeg_decompress_struct& info) {
+  double samples = 0;
+  for (int component = 0; component < info.num_components; ++component) {
+    const jpeg_component_info& plane = info.comp_info[component];
+    samples += static_cast<double>(plane.h_samp_factor) * plane.v_samp_factor /
+               (info.max_h_samp_factor * info.max_v_samp_factor);
+  }
+  return sizeof(JCOEF) * samples;
+}
+
+}  // namespace
 
 struct JpegReader::Decoder {
   explicit Decoder(const std::filesystem::path& path)
@@ -50,7 +63,8 @@ JpegReader::JpegReader(const std::filesystem::path& path)
   }
   info->out_color_space = info->num_components == 3 ? JCS_RGB : JCS_GRAYSCALE;
   shape_ = {static_cast<int64_t>(info->image_width), static_cast<int64_t>(info->image_height),
-            info->num_components};
+            info->num_components, 1};
+  if (jpeg_has_multiple_scans(info)) held_bytes_per_pixel_ = CoefficientBytesPerPixel(*info);
 }
 
 JpegReader::~JpegReader() = default;
@@ -81,8 +95,7 @@ void JpegReader::SkipRows(int64_t count) {
     });
     return;
   }
-  std::vector<uint8_t> row(shape_.RowBytes());
-  for (; count > 0; --count) ReadRows(1, row.data());
+  ImageReader::SkipRows(count);
 }
 
 void JpegReader::Finish() {

@@ -1,5 +1,4 @@
-// Reading a JPEG row by row through libjpeg-turbo: 8-bit grey or RGB, as stored (an EXIF
-// orientation is not applied, since cameras are solved without it). A progressive JPEG works, but
+// Reading a JPEG row by row through libjpeg-turbo: 8-bit grey or RGB. A progressive JPEG works, but
 // libjpeg then holds all of its coefficients.
 #pragma once
 
@@ -7,33 +6,25 @@
 #include <filesystem>
 #include <memory>
 
-#include "sub_image/image_shape.h"
+#include "sub_image/image_reader.h"
 
 namespace sirpy {
 
-class JpegReader {
+class JpegReader : public ImageReader {
  public:
   // Reads the header. Throws InputError when the file is missing, is no JPEG, or is CMYK.
   explicit JpegReader(const std::filesystem::path& path);
-  ~JpegReader();
+  ~JpegReader() override;
 
-  const ImageShape& shape() const { return shape_; }
-
-  // The next `count` rows, contiguous. Throws InputError when the data is damaged or ends early.
-  void ReadRows(int64_t count, uint8_t* rows);
-
-  // Passes over `count` rows.
-  void SkipRows(int64_t count);
-
-  // After the last row: throws InputError when the end of the file is damaged.
-  void Finish();
+  void ReadRows(int64_t count, uint8_t* rows) override;
+  void SkipRows(int64_t count) override;
+  void Finish() override;
 
  private:
   void StartIfNeeded();
 
   struct Decoder;
   std::unique_ptr<Decoder> decoder_;
-  ImageShape shape_;
 };
 
 }  // namespace sirpy

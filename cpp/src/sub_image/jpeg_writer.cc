@@ -22,9 +22,10 @@ struct JpegWriter::Encoder {
   jpeg_compress_struct info = {};
 };
 
-JpegWriter::JpegWriter(const std::filesystem::path& path, const ImageShape& shape, int quality)
+JpegWriter::JpegWriter(const std::filesystem::path& path, const ImageShape& shape,
+                       const WriterOptions& options)
     : encoder_(std::make_unique<Encoder>(path)) {
-  encoder_->Guard([encoder = encoder_.get(), &shape, quality] {
+  encoder_->Guard([encoder = encoder_.get(), &shape, &options] {
     jpeg_compress_struct* info = &encoder->info;
     jpeg_stdio_dest(info, encoder->file.stream());
     info->image_width = static_cast<JDIMENSION>(shape.width);
@@ -32,10 +33,14 @@ JpegWriter::JpegWriter(const std::filesystem::path& path, const ImageShape& shap
     info->input_components = shape.channels;
     info->in_color_space = shape.channels == 3 ? JCS_RGB : JCS_GRAYSCALE;
     jpeg_set_defaults(info);
-    jpeg_set_quality(info, quality, TRUE);
+    jpeg_set_quality(info, options.jpeg_quality, TRUE);
     for (int component = 0; component < info->num_components; ++component) {
       info->comp_info[component].h_samp_factor = 1;
       info->comp_info[component].v_samp_factor = 1;
+    }
+    if (info->num_components == 3) {
+      info->comp_info[0].h_samp_factor = options.jpeg_chroma == JpegChroma::k444 ? 1 : 2;
+      info->comp_info[0].v_samp_factor = options.jpeg_chroma == JpegChroma::k420 ? 2 : 1;
     }
     jpeg_start_compress(info, TRUE);
   });

@@ -1,5 +1,5 @@
-// JPEG without chroma subsampling (4:4:4), so that the colour of a pixel never mixes with its
-// neighbours'.
+// JPEG; by default without chroma subsampling (4:4:4), so that the colour of a pixel never mixes
+// with its neighbours'.
 #pragma once
 
 #include <memory>
@@ -10,7 +10,8 @@ namespace sirpy {
 
 class JpegWriter : public ImageWriter {
  public:
-  JpegWriter(const std::filesystem::path& path, const ImageShape& shape, int quality);
+  JpegWriter(const std::filesystem::path& path, const ImageShape& shape,
+             const WriterOptions& options);
   ~JpegWriter() override;
 
   void WriteRow(const uint8_t* row) override;

@@ -4,24 +4,27 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "sub_image/sub_pixels.h"
+#include "sub_image/warp_kernels.h"
+
 namespace sirpy {
 namespace {
 
-// c0 + c1 t + c2 t^2 + c3 t^3 through p0 .. p3 at t = 0 .. 3.
+// c[0] + c[1] t + c[2] t^2 + c[3] t^3 through p0 .. p3 at t = 0 .. 3.
 struct Cubic {
-  double c0, c1, c2, c3;
+  double c[4];
 
   Cubic(double p0, double p1, double p2, double p3) {
     const double d1 = p1 - p0;
     const double d2 = p2 - 2 * p1 + p0;
     const double d3 = p3 - 3 * p2 + 3 * p1 - p0;
-    c0 = p0;
-    c1 = d1 - d2 / 2 + d3 / 3;
-    c2 = (d2 - d3) / 2;
-    c3 = d3 / 6;
+    c[0] = p0;
+    c[1] = d1 - d2 / 2 + d3 / 3;
+    c[2] = (d2 - d3) / 2;
+    c[3] = d3 / 6;
   }
 
-  double operator()(double t) const { return c0 + t * (c1 + t * (c2 + t * c3)); }
+  double operator()(double t) const { return c[0] + t * (c[1] + t * (c[2] + t * c[3])); }
 };
 
 // The first of the four nodes that are nearest to a position in units of nodes.
@@ -31,14 +34,7 @@ int64_t Stencil(double position, int64_t nodes) {
 
 // Nodes farther off than this (in pixels) are drawn in, so that sub-pixels never overflow 32 bits:
 // a cubic through four bounded nodes stays within twice the bound.
-constexpr double kFarthest = LensMap::kLargestSide;
-
-// Without floor(), so that the compiler vectorises it: the bias makes the conversion round
-// downwards.
-inline int32_t ToSubPixels(double position) {
-  constexpr int32_t kBias = 1 << 29;
-  return static_cast<int32_t>((position - 0.5) * LensMap::kSubPixels + (kBias + 0.5)) - kBias;
-}
+constexpr double kFarthest = kLargestSide;
 
 }  // namespace
 
@@ -82,25 +78,25 @@ Eigen::Vector2d LensMap::At(const Eigen::Vector2d& undistorted) const {
           Cubic(p[1], p[3], p[5], p[7])(position - first)};
 }
 
-void LensMap::Row(int64_t row, int32_t* __restrict x, int32_t* __restrict y) const {
+void LensMap::Row(int64_t row, int64_t first_column, int64_t count, int32_t* x, int32_t* y) const {
   const std::vector<double> nodes = NodeRow(row + 0.5);
-  int64_t begin = 0;
-  for (int64_t first = 0; first + 4 <= node_columns_; ++first) {
+  const warp::Kernels& kernels = warp::BestKernels();
+  const int64_t last_column = first_column + count;
+  int64_t begin = first_column;
+  for (int64_t first = 0; first + 4 <= node_columns_ && begin < last_column; ++first) {
     // The stencil that begins at `first` serves the pixels before node first + 2; the last serves
     // the rest.
-    const int64_t end =
-        first + 4 == node_columns_
-            ? width_
-            : std::min<int64_t>(width_, std::ceil((first + 2) / nodes_per_pixel_x_));
+    int64_t end = last_column;
+    if (first + 4 < node_columns_) {
+      end = std::min<int64_t>(end, std::ceil((first + 2) / nodes_per_pixel_x_));
+    }
+    if (end <= begin) continue;
     const double* p = &nodes[2 * first];
     const Cubic cubic_x(p[0], p[2], p[4], p[6]);
     const Cubic cubic_y(p[1], p[3], p[5], p[7]);
-    for (int64_t column = begin; column < end; ++column) {
-      const double t = static_cast<int32_t>(column) * nodes_per_pixel_x_ - first;
-      x[column] = ToSubPixels(cubic_x(t));
-      y[column] = ToSubPixels(cubic_y(t));
-    }
-    begin = std::max(begin, end);
+    kernels.positions(cubic_x.c, cubic_y.c, begin, nodes_per_pixel_x_, first, end - begin,
+                      x + begin - first_column, y + begin - first_column);
+    begin = end;
   }
 }
 

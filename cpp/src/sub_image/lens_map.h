@@ -14,12 +14,6 @@ namespace sirpy {
 
 class LensMap {
  public:
-  // Row positions are whole numbers of 1 / kSubPixels pixel.
-  static constexpr int kSubPixelBits = 11;
-  static constexpr int32_t kSubPixels = 1 << kSubPixelBits;
-  static constexpr int kLargestSide =
-      120000;  // pixels of a photograph: sub-pixels fit into 32 bits
-
   // nodes: node_rows x node_columns x (x, y), row-major, finite, at least 4 x 4. width, height: of
   // the undistorted image. Throws std::invalid_argument.
   LensMap(std::vector<double> nodes, int64_t node_rows, int64_t node_columns, int64_t width,
@@ -31,9 +25,8 @@ class LensMap {
   // The position in the photograph of a position in the undistorted image.
   Eigen::Vector2d At(const Eigen::Vector2d& undistorted) const;
 
-  // The pixels of a row: x[column], y[column] = kSubPixels * (position - 0.5), rounded, so that
-  // pixel (i, j) of the photograph has its centre at (kSubPixels * i, kSubPixels * j).
-  void Row(int64_t row, int32_t* __restrict x, int32_t* __restrict y) const;
+  // The pixels first_column .. first_column + count - 1 of a row, in sub-pixels (sub_pixels.h).
+  void Row(int64_t row, int64_t first_column, int64_t count, int32_t* x, int32_t* y) const;
 
  private:
   // Cubic polynomials of a row of node columns: x and y alternate.

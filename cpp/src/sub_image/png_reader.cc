@@ -8,7 +8,6 @@
 #include <cstring>
 #include <new>
 #include <string>
-#include <vector>
 
 #include "error.h"
 
@@ -51,7 +50,7 @@ struct PngReader::Decoder {
   char message[128] = {};
 };
 
-PngReader::PngReader(const std::filesystem::path& path)
+PngReader::PngReader(const std::filesystem::path& path, Bands bands)
     : decoder_(std::make_unique<Decoder>(path)) {
   png_structp png = decoder_->png;
   png_infop info = decoder_->info;
@@ -59,23 +58,23 @@ PngReader::PngReader(const std::filesystem::path& path)
     png_init_io(png, file);
     png_read_info(png, info);
   });
-  has_alpha_ = (png_get_color_type(png, info) & PNG_COLOR_MASK_ALPHA) != 0;
-  if (png_get_bit_depth(png, info) > 8) {
-    throw InputError("photograph " + decoder_->name +
-                     " has 16-bit samples, which are not supported yet: convert it to 8 bit");
-  }
+  const int color_type = png_get_color_type(png, info);
+  has_alpha_ = (color_type & PNG_COLOR_MASK_ALPHA) != 0 ||
+               (color_type == PNG_COLOR_TYPE_PALETTE && png_get_valid(png, info, PNG_INFO_tRNS));
   if (png_get_interlace_type(png, info) != PNG_INTERLACE_NONE) {
     throw InputError("photograph " + decoder_->name +
                      " is an interlaced PNG: save it without interlacing");
   }
-  decoder_->Guard([png, info] {
-    png_set_palette_to_rgb(png);
-    png_set_expand_gray_1_2_4_to_8(png);
-    png_set_strip_alpha(png);
+  decoder_->Guard([png, info, bands] {
+    if (png_get_color_type(png, info) == PNG_COLOR_TYPE_PALETTE) png_set_palette_to_rgb(png);
+    if (png_get_bit_depth(png, info) < 8) png_set_expand_gray_1_2_4_to_8(png);
+    if (png_get_bit_depth(png, info) == 16) png_set_swap(png);  // stored big-endian
+    if (bands == Bands::kColor) png_set_strip_alpha(png);
     png_read_update_info(png, info);
   });
   shape_ = {static_cast<int64_t>(png_get_image_width(png, info)),
-            static_cast<int64_t>(png_get_image_height(png, info)), png_get_channels(png, info)};
+            static_cast<int64_t>(png_get_image_height(png, info)), png_get_channels(png, info),
+            png_get_bit_depth(png, info) / 8};
 }
 
 PngReader::~PngReader() = default;
@@ -84,11 +83,6 @@ void PngReader::ReadRows(int64_t count, uint8_t* rows) {
   decoder_->Guard([png = decoder_->png, count, rows, bytes = shape_.RowBytes()] {
     for (int64_t row = 0; row < count; ++row) png_read_row(png, rows + row * bytes, nullptr);
   });
-}
-
-void PngReader::SkipRows(int64_t count) {
-  std::vector<uint8_t> row(shape_.RowBytes());
-  for (; count > 0; --count) ReadRows(1, row.data());
 }
 
 void PngReader::Finish() {

@@ -1,40 +1,28 @@
-// Reading a PNG row by row as 8-bit grey or RGB: a palette is looked up, an alpha channel passed
-// over. Not interlaced, since the rows of such a file are only known at its end.
+// Reading a PNG row by row through libpng: 8 or 16 bit (in native byte order), grey or RGB; alpha
+// only where all bands are asked for. Palettes and fewer bits become 8 bit. An interlaced PNG would
+// have to be held whole, so it is refused.
 #pragma once
 
 #include <cstdint>
 #include <filesystem>
 #include <memory>
 
-#include "sub_image/image_shape.h"
+#include "sub_image/image_reader.h"
 
 namespace sirpy {
 
-class PngReader {
+class PngReader : public ImageReader {
  public:
-  // Reads the header. Throws InputError when the file is missing or no such PNG (16-bit,
-  // interlaced).
-  explicit PngReader(const std::filesystem::path& path);
-  ~PngReader();
+  // Reads the header. Throws InputError when the file is missing, is no PNG, or is interlaced.
+  PngReader(const std::filesystem::path& path, Bands bands);
+  ~PngReader() override;
 
-  const ImageShape& shape() const { return shape_; }
-
-  // The next `count` rows, contiguous. Throws InputError when the data is damaged or ends early.
-  void ReadRows(int64_t count, uint8_t* rows);
-
-  // Passes over `count` rows.
-  void SkipRows(int64_t count);
-
-  // After the last row: throws InputError when the end of the file is damaged.
-  void Finish();
-
-  bool has_alpha() const { return has_alpha_; }
+  void ReadRows(int64_t count, uint8_t* rows) override;
+  void Finish() override;
 
  private:
   struct Decoder;
   std::unique_ptr<Decoder> decoder_;
-  ImageShape shape_;
-  bool has_alpha_ = false;
 };
 
 }  // namespace sirpy

@@ -8,6 +8,12 @@
 #include "sub_image/partial_file.h"
 
 namespace sirpy {
+namespace {
+
+constexpr int kColorTypes[] = {PNG_COLOR_TYPE_GRAY, PNG_COLOR_TYPE_GRAY_ALPHA, PNG_COLOR_TYPE_RGB,
+                               PNG_COLOR_TYPE_RGB_ALPHA};
+
+}  // namespace
 
 struct PngWriter::Encoder {
   explicit Encoder(const std::filesystem::path& path)
@@ -38,12 +44,13 @@ PngWriter::PngWriter(const std::filesystem::path& path, const ImageShape& shape)
     png_structp png = encoder->png;
     png_init_io(png, encoder->file.stream());
     png_set_IHDR(png, encoder->info, static_cast<png_uint_32>(shape.width),
-                 static_cast<png_uint_32>(shape.height), 8,
-                 shape.channels == 3 ? PNG_COLOR_TYPE_RGB : PNG_COLOR_TYPE_GRAY, PNG_INTERLACE_NONE,
-                 PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
+                 static_cast<png_uint_32>(shape.height), 8 * shape.sample_bytes,
+                 kColorTypes[shape.channels - 1], PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT,
+                 PNG_FILTER_TYPE_DEFAULT);
     png_set_compression_level(png, 1);
     png_set_filter(png, PNG_FILTER_TYPE_BASE, PNG_FILTER_SUB);
     png_write_info(png, encoder->info);
+    if (shape.sample_bytes == 2) png_set_swap(png);  // stored big-endian
   });
 }
 

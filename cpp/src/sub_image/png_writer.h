@@ -1,4 +1,4 @@
-// PNG, lossless, at the fastest compression.
+// PNG, lossless, at the fastest compression: 8 or 16 bit; 2 and 4 channels are with alpha.
 #pragma once
 
 #include <memory>

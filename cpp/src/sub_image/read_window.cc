@@ -1,63 +1,81 @@
 #include "sub_image/read_window.h"
 
+#include <algorithm>
+#include <cstring>
+#include <memory>
 #include <string>
 
 #include "error.h"
-#include "sub_image/jpeg_reader.h"
-#include "sub_image/png_reader.h"
+#include "sub_image/image_reader.h"
 
 namespace sirpy {
 namespace {
 
-// Calls use(row, pixels, channels) with the window's part of each of its rows.
-template <typename Reader, typename Use>
-void ForRows(const std::filesystem::path& path, const Rectangle& window, Use use) {
-  Reader reader(path);
-  const ImageShape& shape = reader.shape();
-  if (window.x0 < 0 || window.y0 < 0 || window.x1() > shape.width || window.y1() > shape.height) {
-    throw InputError("image " + path.string() + " has " + std::to_string(shape.width) + "x" +
-                     std::to_string(shape.height) +
-                     " pixels, less than its workspace says: delete it and cut again");
-  }
-  std::vector<uint8_t> row(shape.RowBytes());
-  reader.SkipRows(window.y0);
-  for (int64_t y = 0; y < window.height; ++y) {
-    reader.ReadRows(1, row.data());
-    use(y, row.data() + window.x0 * shape.channels, shape.channels);
-  }
+inline uint8_t ToByte(uint8_t sample, int /*white*/) { return sample; }
+
+inline uint8_t ToByte(uint16_t sample, int white) {
+  return static_cast<uint8_t>((std::min<int>(sample, white) * 255 + white / 2) / white);
 }
 
-template <typename Use>
-void ForRowsOfFile(const std::filesystem::path& path, const Rectangle& window, Use use) {
-  if (path.extension() == ".png") {
-    ForRows<PngReader>(path, window, use);
-  } else {
-    ForRows<JpegReader>(path, window, use);
+template <typename Sample>
+void Convert(const Sample* stored, int channels, int64_t count, bool color, int white,
+             uint8_t* out) {
+  for (int64_t i = 0; i < count; ++i, stored += channels) {
+    const uint8_t red = ToByte(stored[0], white);
+    const uint8_t green = channels >= 3 ? ToByte(stored[1], white) : red;
+    const uint8_t blue = channels >= 3 ? ToByte(stored[2], white) : red;
+    if (color) {
+      *out++ = red;
+      *out++ = green;
+      *out++ = blue;
+    } else {
+      *out++ = channels >= 3 ? Luma(red, green, blue) : red;
+    }
   }
 }
 
 }  // namespace
 
-std::vector<uint8_t> ReadGrey(const std::filesystem::path& path, const Rectangle& window) {
-  std::vector<uint8_t> grey(window.Area());
-  ForRowsOfFile(path, window, [&](int64_t y, const uint8_t* pixels, int channels) {
-    uint8_t* out = &grey[y * window.width];
-    for (int64_t x = 0; x < window.width; ++x, pixels += channels) {
-      out[x] = channels == 1 ? pixels[0] : Luma(pixels[0], pixels[1], pixels[2]);
-    }
-  });
-  return grey;
+void ConvertPixels(const uint8_t* stored, const ImageShape& shape, int64_t count, Pixels pixels,
+                   int white, uint8_t* converted) {
+  const bool color = pixels == Pixels::kColor;
+  if (pixels == Pixels::kAll) {
+    std::memcpy(converted, stored, count * shape.PixelBytes());
+  } else if (shape.sample_bytes == 1) {
+    Convert(stored, shape.channels, count, color, white, converted);
+  } else {
+    Convert(reinterpret_cast<const uint16_t*>(stored), shape.channels, count, color, white,
+            converted);
+  }
 }
 
-std::vector<uint8_t> ReadColor(const std::filesystem::path& path, const Rectangle& window) {
-  std::vector<uint8_t> color(window.Area() * 3);
-  ForRowsOfFile(path, window, [&](int64_t y, const uint8_t* pixels, int channels) {
-    uint8_t* out = &color[y * window.width * 3];
-    for (int64_t x = 0; x < window.width; ++x, pixels += channels, out += 3) {
-      for (int c = 0; c < 3; ++c) out[c] = pixels[channels == 1 ? 0 : c];
-    }
-  });
-  return color;
+ImageShape ConvertedShape(const ImageShape& stored, const Rectangle& window, Pixels pixels) {
+  if (pixels == Pixels::kAll) {
+    return {window.width, window.height, stored.channels, stored.sample_bytes};
+  }
+  return {window.width, window.height, pixels == Pixels::kColor ? 3 : 1, 1};
+}
+
+WindowPixels ReadWindow(const std::filesystem::path& path, const Rectangle& window, Pixels pixels,
+                        int white) {
+  const std::unique_ptr<ImageReader> reader =
+      OpenImageReader(path, pixels == Pixels::kAll ? Bands::kAll : Bands::kColor);
+  const ImageShape& stored = reader->shape();
+  if (window.x0 < 0 || window.y0 < 0 || window.x1() > stored.width || window.y1() > stored.height) {
+    throw InputError("image " + path.string() + " has " + std::to_string(stored.width) + "x" +
+                     std::to_string(stored.height) +
+                     " pixels, less than its workspace says: delete it and cut again");
+  }
+  WindowPixels read{ConvertedShape(stored, window, pixels), {}};
+  read.bytes.resize(read.shape.RowBytes() * read.shape.height);
+  std::vector<uint8_t> row(stored.RowBytes());
+  reader->SkipRows(window.y0);
+  for (int64_t y = 0; y < window.height; ++y) {
+    reader->ReadRows(1, row.data());
+    ConvertPixels(row.data() + window.x0 * stored.PixelBytes(), stored, window.width, pixels, white,
+                  &read.bytes[y * read.shape.RowBytes()]);
+  }
+  return read;
 }
 
 }  // namespace sirpy

@@ -1,80 +1,161 @@
 #include "sub_image/recapture.h"
 
 #include <algorithm>
+#include <future>
 #include <stdexcept>
 #include <utility>
 
 #include "error.h"
-#include "sub_image/jpeg_reader.h"
-#include "sub_image/png_reader.h"
 #include "sub_image/shrink.h"
 #include "sub_image/warp.h"
 
 namespace sirpy {
 namespace {
 
-constexpr int64_t kBlockRows = 64;
+// Bytes of a block of rows: large enough that the threads seldom wait for each other.
+constexpr int64_t kBlockBytes = 2 << 20;
 
-template <typename Reader>
-void RecaptureAll(Reader& photograph, RecaptureTask task) {
-  const ImageShape shape = photograph.shape();
-  if (shape.width != task.photograph.width || shape.height != task.photograph.height ||
-      shape.channels != task.photograph.channels) {
-    throw InputError("a photograph has changed while it was read: run the same command again");
+// Keeps one rectangle of the rows that pass.
+class Collect : public RowSink {
+ public:
+  Collect(const Rectangle& window, const Rectangle& kept, int64_t pixel_bytes,
+          std::vector<uint8_t>* pixels)
+      : window_(window),
+        kept_(kept),
+        pixel_bytes_(pixel_bytes),
+        next_row_(window.y0),
+        pixels_(pixels) {
+    if (kept.x0 < window.x0 || kept.x1() > window.x1() || kept.y0 < window.y0 ||
+        kept.y1() > window.y1()) {
+      throw std::invalid_argument("the rectangle is not inside its image");
+    }
+    pixels_->clear();
+    pixels_->reserve(kept.Area() * pixel_bytes);
   }
-  Recapture recapture(std::move(task));
-  std::vector<uint8_t> rows(kBlockRows * shape.RowBytes());
-  for (int64_t row = 0; row < shape.height; row += kBlockRows) {
-    const int64_t count = std::min(kBlockRows, shape.height - row);
-    photograph.ReadRows(count, rows.data());
-    recapture.Push(rows.data(), count);
+  void Push(const uint8_t* rows, int64_t count) override {
+    for (int64_t row = 0; row < count; ++row, ++next_row_) {
+      if (next_row_ < kept_.y0 || Done()) continue;
+      const uint8_t* first = rows + (row * window_.width + kept_.x0 - window_.x0) * pixel_bytes_;
+      pixels_->insert(pixels_->end(), first, first + kept_.width * pixel_bytes_);
+    }
   }
-  photograph.Finish();
-  recapture.Finish();
+  void Finish() override {
+    if (!Done()) throw std::logic_error("rows of the image are missing");
+  }
+  bool Done() const override { return next_row_ >= kept_.y1(); }
+
+ private:
+  Rectangle window_, kept_;
+  int64_t pixel_bytes_;
+  int64_t next_row_;
+  std::vector<uint8_t>* pixels_;
+};
+
+ImageShape UndistortedShape(const RecaptureTask& task) {
+  ImageShape shape = task.photograph;
+  if (task.lens) {
+    shape.width = task.lens->width();
+    shape.height = task.lens->height();
+  }
+  return shape;
 }
 
-// photograph -> warp -> shrink -> files, without the steps that have nothing to do.
-std::unique_ptr<RowSink> BuildChain(RecaptureTask task) {
-  const int channels = task.photograph.channels;
-  const ImageShape cut{task.width, task.height, channels};
-  ImageShape undistorted = task.photograph;
-  if (task.lens) undistorted = {task.lens->width(), task.lens->height(), channels};
+bool IsShrunk(const RecaptureTask& task) {
+  const ImageShape undistorted = UndistortedShape(task);
+  return task.width != undistorted.width || task.height != undistorted.height;
+}
 
-  std::unique_ptr<RowSink> chain =
-      std::make_unique<SubImageFiles>(cut, std::move(task.sub_images), task.writer);
-  if (cut.width != undistorted.width || cut.height != undistorted.height) {
-    chain = std::make_unique<Shrink>(undistorted, cut.width, cut.height, std::move(chain));
+// The part of the image to be cut whose rows are made: no more than the sub-images need, where
+// that can be told.
+Rectangle Window(const RecaptureTask& task) {
+  if (IsShrunk(task)) return {0, 0, task.width, task.height};
+  Rectangle window = BoundingBox(task.sub_images);
+  if (window.x0 < 0 || window.y0 < 0 || window.x1() > task.width || window.y1() > task.height) {
+    throw std::invalid_argument("a sub-image is not inside its image");
   }
-  if (task.lens) {
-    chain = std::make_unique<Warp>(std::move(task.lens), task.photograph, std::move(chain));
+  if (!task.lens) {  // whole rows of the photograph pass through
+    window.x0 = 0;
+    window.width = task.width;
   }
-  return chain;
+  return window;
 }
 
 }  // namespace
 
-Recapture::Recapture(RecaptureTask task)
-    : photograph_(task.photograph), rows_(BuildChain(std::move(task))) {}
+// photograph -> warp -> shrink -> files, without the steps that have nothing to do.
+Recapture::Recapture(RecaptureTask task) : photograph_(task.photograph) {
+  const Rectangle window = Window(task);
+  first_row_ = window.y0;
+  expected_end_ = IsShrunk(task) ? photograph_.height : window.y1();
+  if (task.in_memory) {
+    const Rectangle& kept = task.sub_images.at(0).stored;
+    kept_shape_ = {kept.width, kept.height, photograph_.channels, photograph_.sample_bytes};
+    rows_ = std::make_unique<Collect>(window, kept, photograph_.PixelBytes(), &pixels_);
+  } else {
+    rows_ = std::make_unique<SubImageFiles>(window, photograph_, std::move(task.sub_images),
+                                            task.writer);
+  }
+  Rectangle undistorted = window;
+  if (IsShrunk(task)) {
+    const ImageShape shape = UndistortedShape(task);
+    undistorted = {0, 0, shape.width, shape.height};
+    rows_ = std::make_unique<Shrink>(shape, task.width, task.height, std::move(rows_));
+  }
+  if (task.lens) {
+    auto warp = std::make_unique<Warp>(std::move(task.lens), undistorted, photograph_,
+                                       task.interpolation, std::move(rows_));
+    first_row_ = warp->first_row();
+    expected_end_ = warp->expected_end();
+    rows_ = std::move(warp);
+  }
+  next_row_ = first_row_;
+}
 
 void Recapture::Push(const uint8_t* rows, int64_t count) {
-  received_ += count;
-  if (received_ > photograph_.height) throw std::logic_error("more rows than the photograph has");
+  next_row_ += count;
+  if (next_row_ > photograph_.height) throw std::logic_error("more rows than the photograph has");
   rows_->Push(rows, count);
 }
 
 void Recapture::Finish() {
-  if (received_ != photograph_.height) throw std::logic_error("rows of the photograph are missing");
+  if (!Done()) throw std::logic_error("rows of the photograph are missing");
   rows_->Finish();
 }
 
-void RecaptureJpeg(const std::filesystem::path& path, RecaptureTask task) {
-  JpegReader photograph(path);
-  RecaptureAll(photograph, std::move(task));
-}
-
-void RecapturePng(const std::filesystem::path& path, RecaptureTask task) {
-  PngReader photograph(path);
-  RecaptureAll(photograph, std::move(task));
+void RecaptureFrom(ImageReader& photograph, Recapture& recapture) {
+  const ImageShape shape = photograph.shape();
+  if (!(shape == recapture.photograph())) {
+    throw InputError("a photograph has changed while it was read: run the same command again");
+  }
+  const int64_t block_rows = std::clamp<int64_t>(kBlockBytes / shape.RowBytes(), 1, shape.height);
+  std::vector<uint8_t> ready(block_rows * shape.RowBytes());
+  std::vector<uint8_t> coming(ready.size());
+  int64_t next_row = recapture.first_row();
+  int64_t rows = 0;
+  const auto read = [&] {
+    const int64_t needed = std::max<int64_t>(recapture.expected_end() - next_row, 1);
+    rows = std::min({block_rows, needed, shape.height - next_row});
+    return std::async(std::launch::async,
+                      [&photograph, &coming, rows] { photograph.ReadRows(rows, coming.data()); });
+  };
+  photograph.SkipRows(next_row);
+  std::future<void> reading;
+  while (!recapture.Done() && next_row < shape.height) {
+    if (!reading.valid()) reading = read();
+    reading.get();
+    std::swap(ready, coming);
+    const int64_t ready_rows = rows;
+    next_row += ready_rows;
+    if (next_row < recapture.expected_end()) reading = read();
+    recapture.Push(ready.data(), ready_rows);
+  }
+  if (reading.valid()) {  // rows that nobody needs
+    reading.get();
+    next_row += rows;
+  }
+  // At the end of the photograph damage shows that the rows before did not.
+  if (next_row == shape.height) photograph.Finish();
+  recapture.Finish();
 }
 
 }  // namespace sirpy

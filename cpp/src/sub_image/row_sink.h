@@ -15,6 +15,9 @@ class RowSink {
 
   // Called once, after the last row.
   virtual void Finish() = 0;
+
+  // No later row is needed.
+  virtual bool Done() const = 0;
 };
 
 }  // namespace sirpy

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <stdexcept>
+#include <type_traits>
 #include <utility>
 
 namespace sirpy {
@@ -13,7 +14,7 @@ Shrink::Shrink(const ImageShape& source, int64_t width, int64_t height,
     throw std::invalid_argument("Shrink: an output side must be between 1 and the input's");
   }
   sums_.resize(width_ * source_.channels);
-  out_.resize(width_ * source_.channels);
+  out_.resize(width_ * source_.PixelBytes());
 }
 
 void Shrink::Push(const uint8_t* rows, int64_t count) {
@@ -21,7 +22,12 @@ void Shrink::Push(const uint8_t* rows, int64_t count) {
   row_sums_.resize(count * sums);
 #pragma omp parallel for
   for (int64_t row = 0; row < count; ++row) {
-    ShrinkRow(rows + row * source_.RowBytes(), &row_sums_[row * sums]);
+    const uint8_t* bytes = rows + row * source_.RowBytes();
+    if (source_.sample_bytes == 1) {
+      ShrinkRow(bytes, &row_sums_[row * sums]);
+    } else {
+      ShrinkRow(reinterpret_cast<const uint16_t*>(bytes), &row_sums_[row * sums]);
+    }
   }
   for (int64_t row = 0; row < count; ++row) AddRow(&row_sums_[row * sums]);
 }
@@ -29,8 +35,11 @@ void Shrink::Push(const uint8_t* rows, int64_t count) {
 void Shrink::Finish() { next_->Finish(); }
 
 // In units of 1 / width_ input pixel: input pixel x covers [x * n, (x + 1) * n), output pixel i
-// covers [i * N, (i + 1) * N), n = width_, N = source_.width. A sum is at most 255 N.
-void Shrink::ShrinkRow(const uint8_t* row, uint32_t* sums) const {
+// covers [i * N, (i + 1) * N), n = width_, N = source_.width. A sum of bytes is at
+// most 255 N, which fits into 32 bits.
+template <typename Sample>
+void Shrink::ShrinkRow(const Sample* row, uint64_t* sums) const {
+  using Sum = std::conditional_t<sizeof(Sample) == 1, uint32_t, uint64_t>;
   const int64_t n = width_;
   const int channels = source_.channels;
   for (int64_t i = 0; i < n; ++i, sums += channels) {
@@ -39,20 +48,20 @@ void Shrink::ShrinkRow(const uint8_t* row, uint32_t* sums) const {
     const int64_t first = begin / n;
     const int64_t last = (end - 1) / n;
     for (int channel = 0; channel < channels; ++channel) {
-      const uint8_t* pixel = row + first * channels + channel;
-      uint32_t inner = 0;
+      const Sample* pixel = row + first * channels + channel;
+      Sum inner = 0;
       for (int64_t x = first + 1; x < last; ++x) inner += pixel[(x - first) * channels];
-      uint32_t sum = inner * static_cast<uint32_t>(n);
-      sum += *pixel * static_cast<uint32_t>(std::min((first + 1) * n, end) - begin);
+      Sum sum = inner * static_cast<Sum>(n);
+      sum += *pixel * static_cast<Sum>(std::min((first + 1) * n, end) - begin);
       if (last > first) {
-        sum += pixel[(last - first) * channels] * static_cast<uint32_t>(end - last * n);
+        sum += pixel[(last - first) * channels] * static_cast<Sum>(end - last * n);
       }
       sums[channel] = sum;
     }
   }
 }
 
-void Shrink::AddRow(const uint32_t* sums) {
+void Shrink::AddRow(const uint64_t* sums) {
   const int64_t n = height_;
   const int64_t begin = input_row_ * n;
   const int64_t end = begin + n;
@@ -61,19 +70,21 @@ void Shrink::AddRow(const uint32_t* sums) {
   // An input row is at most one output row high, so it meets two of them at most.
   Add(sums, std::min(end, boundary) - begin);
   if (end >= boundary) {
-    EmitRow();
+    source_.sample_bytes == 1 ? EmitRow<uint8_t>() : EmitRow<uint16_t>();
     if (end > boundary) Add(sums, end - boundary);
   }
 }
 
-void Shrink::Add(const uint32_t* sums, uint64_t weight) {
+void Shrink::Add(const uint64_t* sums, uint64_t weight) {
   for (size_t i = 0; i < sums_.size(); ++i) sums_[i] += weight * sums[i];
 }
 
+template <typename Sample>
 void Shrink::EmitRow() {
+  Sample* out = reinterpret_cast<Sample*>(out_.data());
   const uint64_t area = static_cast<uint64_t>(source_.width) * source_.height;
   for (size_t i = 0; i < sums_.size(); ++i) {
-    out_[i] = static_cast<uint8_t>((sums_[i] + area / 2) / area);
+    out[i] = static_cast<Sample>((sums_[i] + area / 2) / area);
     sums_[i] = 0;
   }
   ++output_row_;

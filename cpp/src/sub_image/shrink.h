@@ -1,6 +1,6 @@
 // Shrinks rows as they come by the area average: an output pixel is the mean of the input pixels
-// under its footprint, each weighted by the area that is under it. Computed in integers, so it is
-// exact but for the last rounding. Output pixel i covers [i * N / n, (i + 1) * N / n) of N input
+// under its footprint, each weighted by the area that is under it (8 or 16 bit). In integers, so it
+// is exact but for the last rounding. Output pixel i covers [i * N / n, (i + 1) * N / n) of N input
 // pixels.
 #pragma once
 
@@ -20,11 +20,14 @@ class Shrink : public RowSink {
 
   void Push(const uint8_t* rows, int64_t count) override;
   void Finish() override;
+  bool Done() const override { return output_row_ == height_; }
 
  private:
-  void ShrinkRow(const uint8_t* row, uint32_t* sums) const;
-  void AddRow(const uint32_t* sums);
-  void Add(const uint32_t* sums, uint64_t weight);
+  template <typename Sample>
+  void ShrinkRow(const Sample* row, uint64_t* sums) const;
+  void AddRow(const uint64_t* sums);
+  void Add(const uint64_t* sums, uint64_t weight);
+  template <typename Sample>
   void EmitRow();
 
   ImageShape source_;
@@ -33,7 +36,7 @@ class Shrink : public RowSink {
   std::unique_ptr<RowSink> next_;
   int64_t input_row_ = 0;
   int64_t output_row_ = 0;
-  std::vector<uint32_t> row_sums_;
+  std::vector<uint64_t> row_sums_;
   std::vector<uint64_t> sums_;
   std::vector<uint8_t> out_;
 };

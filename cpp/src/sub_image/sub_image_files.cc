@@ -7,21 +7,40 @@
 
 namespace sirpy {
 
-SubImageFiles::SubImageFiles(const ImageShape& image, std::vector<SubImageFile> files,
-                             const WriterOptions& options)
-    : image_(image), files_(std::move(files)), options_(options), writers_(files_.size()) {
+Rectangle BoundingBox(const std::vector<SubImageFile>& files) {
+  if (files.empty()) throw std::invalid_argument("there are no sub-images to cut");
+  Rectangle box = files.front().stored;
+  for (const SubImageFile& file : files) {
+    const int64_t x1 = std::max(box.x1(), file.stored.x1());
+    const int64_t y1 = std::max(box.y1(), file.stored.y1());
+    box.x0 = std::min(box.x0, file.stored.x0);
+    box.y0 = std::min(box.y0, file.stored.y0);
+    box.width = x1 - box.x0;
+    box.height = y1 - box.y0;
+  }
+  return box;
+}
+
+SubImageFiles::SubImageFiles(const Rectangle& window, const ImageShape& pixel,
+                             std::vector<SubImageFile> files, const WriterOptions& options)
+    : window_(window),
+      pixel_(pixel),
+      files_(std::move(files)),
+      options_(options),
+      writers_(files_.size()),
+      next_row_(window.y0),
+      last_row_(BoundingBox(files_).y1()) {
   options_.Validate();
   for (const SubImageFile& file : files_) {
     const Rectangle& stored = file.stored;
-    if (stored.width < 1 || stored.height < 1 || stored.x0 < 0 || stored.y0 < 0 ||
-        stored.x1() > image_.width || stored.y1() > image_.height) {
+    if (stored.width < 1 || stored.height < 1 || stored.x0 < window_.x0 || stored.y0 < window_.y0 ||
+        stored.x1() > window_.x1() || stored.y1() > window_.y1()) {
       throw std::invalid_argument(file.path.string() + " is not inside its image");
     }
   }
 }
 
 void SubImageFiles::Push(const uint8_t* rows, int64_t count) {
-  if (next_row_ + count > image_.height) throw std::logic_error("more rows than the image has");
   // An exception must not leave a parallel region; the first in order of the files is thrown after
   // it.
   std::vector<std::exception_ptr> failures(files_.size());
@@ -46,11 +65,12 @@ void SubImageFiles::WriteRows(size_t file, const uint8_t* rows, int64_t count) {
   if (begin >= end) return;
   std::unique_ptr<ImageWriter>& writer = writers_[file];
   if (begin == stored.y0) {
-    const ImageShape shape{stored.width, stored.height, image_.channels};
+    const ImageShape shape{stored.width, stored.height, pixel_.channels, pixel_.sample_bytes};
     writer = OpenImageWriter(files_[file].path, shape, options_);
   }
   for (int64_t row = begin; row < end; ++row) {
-    writer->WriteRow(rows + (row - next_row_) * image_.RowBytes() + stored.x0 * image_.channels);
+    const int64_t pixel = (row - next_row_) * window_.width + (stored.x0 - window_.x0);
+    writer->WriteRow(rows + pixel * pixel_.PixelBytes());
   }
   if (end == stored.y1()) {
     writer->Finish();
@@ -59,7 +79,7 @@ void SubImageFiles::WriteRows(size_t file, const uint8_t* rows, int64_t count) {
 }
 
 void SubImageFiles::Finish() {
-  if (next_row_ != image_.height) throw std::logic_error("rows of the image are missing");
+  if (!Done()) throw std::logic_error("rows of the image are missing");
 }
 
 }  // namespace sirpy

@@ -1,14 +1,16 @@
 // Undistorts rows as they come. Target pixel centres go through the lens map to positions in the
-// photograph, which is read there by bilinear interpolation; positions beyond its outermost pixel
-// centres give black (COLMAP's rule). Holds only those source rows that the next band of target
-// rows needs: as many as the lens bends a line, plus the band.
+// photograph, which is read there by interpolation; positions beyond its outermost pixel centres
+// give black (COLMAP's rule). Holds only those source rows that the next band of target rows needs:
+// as many as the lens bends a line, plus the band.
 #pragma once
 
 #include <cstdint>
 #include <memory>
 #include <vector>
 
+#include "rectangle.h"
 #include "sub_image/image_shape.h"
+#include "sub_image/interpolation.h"
 #include "sub_image/lens_map.h"
 #include "sub_image/row_sink.h"
 
@@ -16,28 +18,38 @@ namespace sirpy {
 
 class Warp : public RowSink {
  public:
-  // source: shape of the photograph, whose rows are pushed; next takes the rows of the undistorted
-  // image.
-  Warp(std::shared_ptr<const LensMap> lens, const ImageShape& source,
-       std::unique_ptr<RowSink> next);
+  // source: shape of the photograph, whose rows are pushed from first_row() on; window: the part of
+  // the undistorted image whose rows `next` takes.
+  Warp(std::shared_ptr<const LensMap> lens, const Rectangle& window, const ImageShape& source,
+       Interpolation interpolation, std::unique_ptr<RowSink> next);
+
+  // The first row of the photograph that the window needs.
+  int64_t first_row() const { return first_row_; }
+  // The row before which the last that the window needs lies, unless the lens folds.
+  int64_t expected_end() const { return expected_end_; }
 
   // Throws InputError when the lens folds so that rows which are gone are needed again.
   void Push(const uint8_t* rows, int64_t count) override;
   void Finish() override;
+  bool Done() const override { return band_rows_ == 0; }
 
  private:
   void Keep(const uint8_t* rows, int64_t count);
   void BeginBand();
+  void PlaceBand();
   bool BandIsReady() const;
   void EmitBand();
-  template <int kChannels>
-  void WarpRow(const int32_t* x, const int32_t* y, uint8_t* out) const;
   uint8_t* Slot(int64_t source_row) {
     return &kept_[(source_row & (capacity_ - 1)) * source_.RowBytes()];
   }
 
   std::shared_ptr<const LensMap> lens_;
+  Rectangle window_;
   ImageShape source_;
+  Interpolation interpolation_;
+  SampleRow sample_row_;
+  int64_t first_row_ = 0;
+  int64_t expected_end_ = 0;
   std::unique_ptr<RowSink> next_;
 
   // Source rows [first_kept_, received_), row r in slot r modulo capacity (a power of two).

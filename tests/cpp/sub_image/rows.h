@@ -20,6 +20,7 @@ class Collect : public RowSink {
     pixels_->insert(pixels_->end(), rows, rows + count * row_bytes_);
   }
   void Finish() override {}
+  bool Done() const override { return false; }
 
  private:
   int64_t row_bytes_;

@@ -50,6 +50,20 @@ TEST(Shrink, BlocksOfAnySizeGiveTheSame) {
   for (int64_t block : {1, 5, 52}) EXPECT_EQ(Shrunk(shape, noise, 10, 17, block), whole);
 }
 
+TEST(Shrink, SixteenBitsStaySixteenBits) {
+  const std::vector<uint16_t> pixels = {65535, 65533, 300, 500, 65534, 65534, 0, 1};
+  const ImageShape source{2, 4, 1, 2};
+  std::vector<uint8_t> bytes(reinterpret_cast<const uint8_t*>(pixels.data()),
+                             reinterpret_cast<const uint8_t*>(pixels.data() + 8));
+  std::vector<uint8_t> out;
+  Shrink shrink(source, 1, 2, std::make_unique<Collect>(ImageShape{1, 2, 1, 2}, &out));
+  PushAll(shrink, source, bytes, 3);
+  ASSERT_EQ(out.size(), 4u);
+  const uint16_t* means = reinterpret_cast<const uint16_t*>(out.data());
+  EXPECT_EQ(means[0], 32967);  // 131868 / 4
+  EXPECT_EQ(means[1], 32767);  // 131069 / 4 = 32767.25
+}
+
 TEST(Shrink, EnlargingIsRefused) {
   EXPECT_THROW(Shrunk({2, 2, 1}, {1, 2, 3, 4}, 3, 2), std::invalid_argument);
 }

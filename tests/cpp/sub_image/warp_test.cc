@@ -1,6 +1,8 @@
 #include "sub_image/warp.h"
 
+#include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <memory>
 #include <vector>
 
@@ -28,12 +30,25 @@ std::shared_ptr<const LensMap> Affine(int64_t width, int64_t height, double scal
 }
 
 std::vector<uint8_t> Warped(std::shared_ptr<const LensMap> lens, const ImageShape& source,
-                            const std::vector<uint8_t>& pixels, int64_t block = 10) {
+                            const std::vector<uint8_t>& pixels, int64_t block = 10,
+                            Interpolation interpolation = Interpolation::kBilinear) {
   std::vector<uint8_t> out;
-  const ImageShape target{lens->width(), lens->height(), source.channels};
-  Warp warp(lens, source, std::make_unique<Collect>(target, &out));
-  PushAll(warp, source, pixels, block);
+  const Rectangle window{0, 0, lens->width(), lens->height()};
+  const ImageShape target{window.width, window.height, source.channels, source.sample_bytes};
+  Warp warp(lens, window, source, interpolation, std::make_unique<Collect>(target, &out));
+  const int64_t skipped = warp.first_row() * source.RowBytes();
+  const std::vector<uint8_t> needed(pixels.begin() + skipped, pixels.end());
+  PushAll(warp,
+          {source.width, source.height - warp.first_row(), source.channels, source.sample_bytes},
+          needed, block);
   return out;
+}
+
+// The same pixels with 16 bits: times 257, so that white stays white.
+std::vector<uint8_t> Deepened(const std::vector<uint8_t>& pixels) {
+  std::vector<uint8_t> deep;
+  for (uint8_t value : pixels) deep.insert(deep.end(), 2, value);
+  return deep;
 }
 
 TEST(Warp, ShiftByWholePixelsCopies) {
@@ -91,6 +106,90 @@ TEST(Warp, PartsThatNeedNoSourceRowAreBlack) {
 TEST(Warp, UpsideDownLensIsRefused) {
   const ImageShape source{20, 300, 1};
   EXPECT_THROW(Warped(Affine(20, 300, 1, 0, -1, 300), source, Noise(source)), InputError);
+}
+
+TEST(Warp, WindowsArePartsOfTheWhole) {
+  const ImageShape source{90, 300, 3};
+  const std::vector<uint8_t> pixels = Noise(source);
+  const auto lens = Affine(85, 280, 1.02, 0.3, 0.9, 2.2, 0.4);
+  const std::vector<uint8_t> whole = Warped(lens, source, pixels);
+  for (const Rectangle& window :
+       {Rectangle{0, 0, 85, 1}, Rectangle{84, 279, 1, 1}, Rectangle{13, 100, 40, 77}}) {
+    std::vector<uint8_t> out;
+    Warp warp(lens, window, source, Interpolation::kBilinear,
+              std::make_unique<Collect>(ImageShape{window.width, window.height, 3}, &out));
+    for (int64_t y = warp.first_row(); !warp.Done(); ++y) warp.Push(&pixels[y * 270], 1);
+    ASSERT_EQ(out.size(), static_cast<size_t>(window.Area() * 3));
+    for (int64_t y = 0; y < window.height; ++y) {
+      const uint8_t* row = &out[y * window.width * 3];
+      ASSERT_TRUE(
+          std::equal(row, row + window.width * 3, &whole[((window.y0 + y) * 85 + window.x0) * 3]));
+    }
+  }
+}
+
+TEST(Warp, EveryInterpolationKeepsFlatColourAndWholePixels) {
+  const ImageShape source{40, 50, 3};
+  const std::vector<uint8_t> noise = Noise(source);
+  const std::vector<uint8_t> flat(noise.size(), 201);
+  for (Interpolation interpolation : {Interpolation::kNearest, Interpolation::kBilinear,
+                                      Interpolation::kBicubic, Interpolation::kLanczos}) {
+    const std::vector<uint8_t> bent =
+        Warped(Affine(30, 40, 1.013, 1.3, 0.97, 2.2, 0.05), source, flat, 7, interpolation);
+    EXPECT_EQ(bent, std::vector<uint8_t>(30 * 40 * 3, 201));
+    const std::vector<uint8_t> moved =
+        Warped(Affine(30, 40, 1, 4, 1, 7), source, noise, 7, interpolation);
+    for (int64_t y = 0; y < 40; ++y) {
+      ASSERT_TRUE(std::equal(&moved[y * 90], &moved[y * 90] + 90, &noise[(y + 7) * 120 + 12]));
+    }
+  }
+}
+
+TEST(Warp, BicubicOfAParabolaIsExact) {
+  // Catmull-Rom reproduces polynomials of degree 2: x^2 at x + 1/4, here of column i.
+  const ImageShape source{12, 6, 1};
+  std::vector<uint8_t> pixels;
+  for (int i = 0; i < 72; ++i) pixels.push_back(static_cast<uint8_t>((i % 12) * (i % 12)));
+  const std::vector<uint8_t> out =
+      Warped(Affine(6, 2, 1, 2.25, 1, 2), source, pixels, 1, Interpolation::kBicubic);
+  for (int i = 0; i < 6; ++i) {
+    EXPECT_EQ(out[i], std::lround((i + 2.25) * (i + 2.25))) << i;
+  }
+}
+
+TEST(Warp, LanczosTakesHalfAPixelBySixWeights) {
+  // sinc(k + 1/2) sinc((k + 1/2) / 3) of the six neighbours, normalised: hand-computed.
+  const ImageShape source{8, 8, 1};
+  std::vector<uint8_t> pixels(64, 0);
+  for (int y = 0; y < 8; ++y) pixels[y * 8 + 3] = 200;
+  const std::vector<uint8_t> out =
+      Warped(Affine(3, 1, 1, 2.5, 1, 3), source, pixels, 8, Interpolation::kLanczos);
+  // Weights of a pixel half, and three halves, away: 0.6079, -0.1351 of 0.9966.
+  EXPECT_EQ(out, (std::vector<uint8_t>{122, 122, 0}));
+}
+
+TEST(Warp, SixteenBitsAreThoseOfEightScaled) {
+  const ImageShape source{40, 50, 3};
+  const ImageShape deep{40, 50, 3, 2};
+  const std::vector<uint8_t> noise = Noise(source);
+  const auto lens = Affine(30, 40, 1.013, 1.3, 0.97, 2.2, 0.05);
+  for (Interpolation interpolation : {Interpolation::kNearest, Interpolation::kBilinear,
+                                      Interpolation::kBicubic, Interpolation::kLanczos}) {
+    const std::vector<uint8_t> bytes = Warped(lens, source, noise, 9, interpolation);
+    const std::vector<uint8_t> words = Warped(lens, deep, Deepened(noise), 9, interpolation);
+    const uint16_t* values = reinterpret_cast<const uint16_t*>(words.data());
+    for (size_t i = 0; i < bytes.size(); ++i) ASSERT_NEAR(values[i] / 257.0, bytes[i], 0.503);
+  }
+}
+
+TEST(Warp, EveryInstructionSetGivesTheSameBytes) {
+  const ImageShape source{190, 100, 3};
+  const std::vector<uint8_t> noise = Noise(source);
+  const auto lens = Affine(181, 90, 1.013, 1.3, 0.97, 2.2, 0.05);
+  setenv("SIRPY_ISA", "baseline", 1);
+  const std::vector<uint8_t> baseline = Warped(lens, source, noise);
+  unsetenv("SIRPY_ISA");
+  EXPECT_EQ(Warped(lens, source, noise), baseline);
 }
 
 }  // namespace
