@@ -84,6 +84,40 @@ def convert_pixels(
 ) -> NDArray[Any]:
     """The same of pixels in memory, height x width x channels."""
 
+# ---- sub_image: sparse models (sirpy.model_arrays)
+
+# id, COLMAP's number of the camera model, width, height, parameters
+Camera = tuple[int, int, int, int, list[float]]
+# id, camera id, name, cam_from_world as quaternion w x y z and translation
+Image = tuple[int, int, str, Sequence[float]]
+# cameras; images; point ids (n,), positions (n, 3), colours (n, 3), errors (n,); where each image's
+# observations start (images + 1,), their pixels (m, 2), the indices of their points (m,)
+Model = tuple[
+    list[Camera],
+    list[Image],
+    NDArray[np.uint64],
+    NDArray[np.float64],
+    NDArray[np.uint8],
+    NDArray[np.float64],
+    NDArray[np.int64],
+    NDArray[np.float64],
+    NDArray[np.int32],
+]
+
+def num_camera_parameters(model: int) -> int:
+    """By COLMAP's number of the camera model; -1 when there is none."""
+
+def read_model(folder: Path) -> Model:
+    """Of a binary model. InputError names the file that is damaged."""
+
+def write_model(model: Model, folder: Path) -> None:
+    """Replaces `folder` when all is written. Raises OutputError."""
+
+def sub_image_model(
+    native: Model, sub_images: Sequence[tuple[str, int, int, int, int, int]]
+) -> Model:
+    """sub_images: (name, index of the native image, x0, y0, width, height)."""
+
 # ---- stereo (sirpy.dense_stereo); maps of normals are (3, height, width)
 
 class PatchMatchOptions:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sirpy.errors import InputError
 from sirpy.files import written_whole
+from sirpy.model_arrays import SparseModel
 from sirpy.pictures import encoded_png
 from sirpy.ply import read_vertices
 
@@ -68,16 +69,16 @@ def draw_cloud(
     return picture
 
 
-def mean_view(model: Any) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """(forward, up) for `draw_cloud` from the cameras of a pycolmap model.
+def mean_view(model: SparseModel) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """(forward, up) for `draw_cloud` from the cameras of a model.
 
     Forward is the mean viewing direction. Up is that of the first photograph by name: strips flown
     in opposite directions would cancel in a mean.
     """
-    images = sorted(model.images.values(), key=lambda image: str(image.name))
+    images = sorted(model.images, key=lambda image: image.name)
     if not images:
         raise InputError("the model holds no photographs: there is nothing to draw")
-    rotations = [image.cam_from_world().rotation.matrix() for image in images]
+    rotations = [image.cam_from_world[:, :3] for image in images]
     forward = np.mean([rotation[2] for rotation in rotations], axis=0)
     if np.linalg.norm(forward) < 0.1:  # photographs all around have no mean direction
         forward = rotations[0][2]

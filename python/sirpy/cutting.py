@@ -14,7 +14,8 @@ from sirpy import _core
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
 from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
-from sirpy.model_files import model_identity, read_model
+from sirpy.model_arrays import SparseModel, read_arrays, write_model
+from sirpy.model_files import model_identity
 from sirpy.native_scene import native_scene
 from sirpy.photographs import (
     Bands,
@@ -30,7 +31,7 @@ from sirpy.photographs import (
 from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
-from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
+from sirpy.sub_image_model import sub_image_model, undistorted_model
 from sirpy.sub_image_sets import of_one_size, with_points
 from sirpy.workspace import LeftOut, NativeImage, SubImage, Workspace, check_writable
 
@@ -95,7 +96,7 @@ class _Task:
 
 def cut(
     images: Path | str,
-    model: Path | str | pycolmap.Reconstruction,
+    model: Path | str | pycolmap.Reconstruction | SparseModel,
     output: Path | str,
     *,
     grid: Grid | None = None,
@@ -142,11 +143,12 @@ def cut(
     if min_points < 0:
         raise InputError(f"min_points = {min_points} is not possible: it must be at least 0")
     check_folders(images, output)
-    if not isinstance(model, pycolmap.Reconstruction):
+    if isinstance(model, (str, Path)):
         identity = model_identity(Path(model))
-        model = read_model(model)
     elif identity is None:
         raise ValueError("a model that was read already needs an identity")
+    if not isinstance(model, SparseModel):
+        model = read_arrays(model)
     if grid is None:
         grid = plan(native_scene(undistorted_model(model, undistort)), memory=memory).grid
     inputs = _Inputs(images, None if masks is None else Path(masks), pixels)
@@ -250,25 +252,25 @@ def _of_natives(tasks: list[_Task], natives: list[NativeImage]) -> list[_Task]:
 
 def _check_inputs(
     inputs: _Inputs,
-    model: pycolmap.Reconstruction,
+    model: SparseModel,
     grid: Grid,
     overlap: int,
     undistort: UndistortOptions,
 ) -> tuple[list[_Task], list[LeftOut]]:
     """What is to be done, in order of names, and the photographs that cannot be used."""
-    posed = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
+    posed = sorted(model.images, key=lambda image: image.name)
     if not posed:
         raise InputError("the model has no image with a pose: solve the cameras again")
     names = [image.name for image in posed]
     check_names(names)
     stems = _stems(names)
     targets = {
-        camera_id: undistorted_camera(model.camera(camera_id), undistort)
+        camera_id: undistorted_camera(model.cameras[camera_id], undistort)
         for camera_id in sorted({image.camera_id for image in posed})
     }
     tasks, left_out = [], []
     for image in posed:
-        camera = model.camera(image.camera_id)
+        camera = model.camera_of(image)
         try:
             photograph = inputs.photograph(image.name, camera)
             mask = inputs.mask(image.name, camera)

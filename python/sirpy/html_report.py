@@ -20,6 +20,7 @@ from sirpy.cloud_picture import draw_cloud, mean_view
 from sirpy.dense_stereo import count_reasons
 from sirpy.errors import InputError
 from sirpy.files import written_whole
+from sirpy.model_arrays import read_arrays
 from sirpy.pictures import depth_colours, encoded_jpeg
 from sirpy.ply import read_vertices
 from sirpy.progress import duration
@@ -164,9 +165,7 @@ def _cloud(workspace: Workspace) -> str:
         return ""
     if len(read_vertices(workspace.fused)) == 0:
         return "<h2>The point cloud</h2><p>It is empty; the coverage below says why.</p>"
-    import pycolmap
-
-    forward, up = mean_view(pycolmap.Reconstruction(str(workspace.native_model)))
+    forward, up = mean_view(read_arrays(workspace.native_model, may_be_empty=True))
     picture = draw_cloud(
         workspace.fused, workspace.cloud_picture, forward=forward, up=up, size=_CLOUD_SIDE
     )

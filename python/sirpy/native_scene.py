@@ -7,8 +7,8 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-import pycolmap
 
+from sirpy.model_arrays import SparseModel, read_arrays
 from sirpy.workspace import Workspace
 
 Floats = npt.NDArray[np.float64]
@@ -79,31 +79,31 @@ class NativeScene:
 
 
 def read_native_scene(workspace: Workspace) -> NativeScene:
-    """The scene of the workspace's native model."""
-    return native_scene(pycolmap.Reconstruction(str(workspace.native_model)))
+    """The scene of the workspace's native model.
+
+    Raises:
+        InputError: the model is missing or damaged.
+    """
+    return native_scene(read_arrays(workspace.native_model))
 
 
-def native_scene(model: pycolmap.Reconstruction) -> NativeScene:
+def native_scene(model: SparseModel) -> NativeScene:
     """The scene of a model of whole undistorted images; observations behind their camera are left out."""
-    ids = sorted(model.point3D_ids())
-    index_of = {point_id: index for index, point_id in enumerate(ids)}
-    points = np.array([model.points3D[i].xyz for i in ids], dtype=np.float64).reshape(-1, 3)
     cameras: dict[str, NativeCamera] = {}
     observations: dict[str, Observations] = {}
-    for image in sorted(model.images.values(), key=lambda image: str(image.name)):
-        camera = model.cameras[image.camera_id]
+    for index, image in sorted(enumerate(model.images), key=lambda item: item[1].name):
+        camera = model.camera_of(image)
         native = NativeCamera(
             image.name,
             camera.width,
             camera.height,
             np.asarray(camera.calibration_matrix(), dtype=np.float64),
-            np.ascontiguousarray(image.cam_from_world().matrix(), dtype=np.float64),
+            image.cam_from_world,
         )
-        seen = [p for p in image.points2D if p.has_point3D()]
-        point = np.array([index_of[p.point3D_id] for p in seen], dtype=np.int64)
-        pixel = np.array([p.xy for p in seen], dtype=np.float64).reshape(-1, 2)
-        depth = native.in_camera(points[point])[:, 2]
+        seen = model.seen(index)
+        point, pixel = model.point[seen].astype(np.int64), model.xy[seen]
+        depth = native.in_camera(model.points[point])[:, 2]
         front = depth > 0
         cameras[native.name] = native
         observations[native.name] = Observations(point[front], pixel[front], depth[front])
-    return NativeScene(cameras, points, observations)
+    return NativeScene(cameras, model.points, observations)

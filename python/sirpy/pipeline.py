@@ -14,13 +14,15 @@ from sirpy.dense_stereo import StereoOptions, stereo
 from sirpy.files import write_json
 from sirpy.fusion import FusionOptions, fuse
 from sirpy.html_report import report
+from sirpy.model_arrays import read_arrays
+from sirpy.model_files import model_identity
 from sirpy.native_scene import native_scene
 from sirpy.photographs import check_folders, find_photographs
 from sirpy.planning import Plan, plan
 from sirpy.progress import LoggedProgress, Progress
 from sirpy.rectangle import Grid
 from sirpy.resources import Meter
-from sirpy.sparse_model import model_identity, predicted_sparse_peak, read_model, sparse
+from sirpy.sparse_model import predicted_sparse_peak, sparse
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources, views
 from sirpy.workspace import LeftOut, Workspace, check_writable
@@ -87,14 +89,14 @@ def reconstruct(
             made = sparse(images, output, memory=memory, threads=threads_used, progress=progress)
             model, left_out = made.model, made.left_out
         log.predicted["sparse"] = predicted_sparse_peak(images, threads_used, memory)
-    solved = read_model(model)
+    solved = read_arrays(model)
     chosen = plan(
         native_scene(undistorted_model(solved)), memory=memory, grid=grid, num_sources=num_sources
     )
     log.predicted.update(chosen.predicted_peak)
     progress.note(f"plan: {chosen.grid} sub-images of each photograph")
 
-    with log.stage(workspace, "cut", solved.num_reg_images(), "photograph"):
+    with log.stage(workspace, "cut", len(solved.images), "photograph"):
         workspace = cut(
             images,
             solved,

@@ -19,9 +19,8 @@ from sirpy.rectangle import Grid
 from sirpy.undistorter_options import Options, parse
 
 if TYPE_CHECKING:
-    import pycolmap
-
     from sirpy.lens import UndistortOptions
+    from sirpy.model_arrays import SparseModel
 
 _EXIT_USER_ERROR = 2
 
@@ -51,16 +50,17 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
     from sirpy.exporting import export
     from sirpy.files import fingerprint
     from sirpy.lens import UndistortOptions
-    from sirpy.model_files import model_identity, read_model
+    from sirpy.model_arrays import read_arrays
+    from sirpy.model_files import model_identity
     from sirpy.photographs import Encoding
 
     undistort = UndistortOptions(
         **{field.name: getattr(options, field.name) for field in fields(UndistortOptions)}
     )
     names = _listed_names(options.image_list_path)
-    model = read_model(options.input_path)
+    model = read_arrays(options.input_path)
     if names is not None:
-        _keep_only(model, names, options)
+        model = _only_listed(model, names, options)
     workspace = cut(
         options.image_path,
         model,
@@ -118,37 +118,27 @@ def _listed_names(path: Path | None) -> list[str] | None:
     return names
 
 
-def _keep_only(model: pycolmap.Reconstruction, names: list[str], options: Options) -> None:
-    """Takes the images that are not listed out of the model, with their observations."""
-    frames = {model.image(i).name: model.image(i).frame_id for i in model.reg_image_ids()}
-    if missing := [name for name in names if name not in frames]:
+def _only_listed(model: SparseModel, names: list[str], options: Options) -> SparseModel:
+    """The model of the images that are listed."""
+    index = {image.name: i for i, image in enumerate(model.images)}
+    if missing := [name for name in names if name not in index]:
         raise InputError(
             f"{options.image_list_path} lists {missing[0]}, which is not in the model "
             f"{options.input_path}: give names as they are in the model"
         )
-    kept = {frames[name] for name in names}
-    if others := sorted({name for name, frame in frames.items() if frame in kept} - set(names)):
-        raise InputError(
-            f"{options.image_list_path} lists a part of a rig only: list {others[0]} too, "
-            "which was taken at the same moment"
-        )
-    for frame in sorted(set(frames.values()) - kept):
-        model.deregister_frame(frame)
+    return model.taking([index[name] for name in names])
 
 
-def _grid(options: Options, model: pycolmap.Reconstruction, undistort: UndistortOptions) -> Grid:
+def _grid(options: Options, model: SparseModel, undistort: UndistortOptions) -> Grid:
     """The grid that the options ask for, of the three ways to choose it."""
     if options.memory is None and options.max_sub_image_size is None:
         columns, rows = options.sub_image_columns, options.sub_image_rows
         return Grid(1 if columns is None else columns, 1 if rows is None else rows)
     from sirpy.lens import undistorted_camera
 
-    cameras = {
-        camera_id: undistorted_camera(camera, undistort)
-        for camera_id, camera in model.cameras.items()
-    }
-    images = [model.image(image_id) for image_id in sorted(model.reg_image_ids())]
-    sizes = [(cameras[i.camera_id].width, cameras[i.camera_id].height) for i in images]
+    cameras = {i: undistorted_camera(camera, undistort) for i, camera in model.cameras.items()}
+    of_images = [cameras[image.camera_id] for image in model.images]
+    sizes = [(camera.width, camera.height) for camera in of_images]
     if options.memory is not None:
         from sirpy.memory import parse_memory
         from sirpy.planning import grid_for_memory

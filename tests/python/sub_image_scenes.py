@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
 import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
+from sirpy.model_arrays import SparseModel, write_model
 
 # One camera of 90 x 70 pixels for every model of COLMAP that a pinhole camera can replace.
 LENSES = {
@@ -118,6 +120,13 @@ def model_of(
                 ),
             )
     return model
+
+
+def read_by_pycolmap(model: SparseModel) -> pycolmap.Reconstruction:
+    """What COLMAP finds in the files of the model."""
+    with TemporaryDirectory() as folder:
+        write_model(model, Path(folder) / "model")
+        return pycolmap.Reconstruction(Path(folder) / "model")
 
 
 def residuals(model: pycolmap.Reconstruction) -> dict[tuple[str, int], NDArray[np.float64]]:

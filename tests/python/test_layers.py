@@ -15,7 +15,7 @@ LAYERS = """
     _core
     photographs exif ply pictures
     flight truth synthetic
-    model_files self_calibration structure_from_motion sparse_model
+    model_files model_arrays self_calibration structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
     view_selection planning sub_image_sets
     cutting windows

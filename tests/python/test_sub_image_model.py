@@ -1,15 +1,12 @@
-import shutil
-import subprocess
-from pathlib import Path
-
 import numpy as np
 import pycolmap
 import pytest
 from sirpy.cutting import _native_image
-from sirpy.rectangle import Grid
-from sirpy.sub_image_model import sub_image_model, undistorted_model, write_model
-from sirpy.workspace import NativeImage
-from sub_image_scenes import camera, model_of, residuals
+from sirpy.model_arrays import read_arrays
+from sirpy.rectangle import Grid, Rectangle
+from sirpy.sub_image_model import sub_image_model, undistorted_model
+from sirpy.workspace import NativeImage, SubImage
+from sub_image_scenes import camera, model_of, read_by_pycolmap, residuals
 
 
 def cut_model(
@@ -17,19 +14,18 @@ def cut_model(
 ) -> tuple[pycolmap.Reconstruction, list[NativeImage], pycolmap.Reconstruction]:
     names = ["a.jpg", "sub/b.jpg", "c.jpg"]
     cameras = [camera("OPENCV", 4), camera("PINHOLE", 2), camera("OPENCV", 4)]
-    native = undistorted_model(model_of(names, cameras))
+    native = undistorted_model(read_arrays(model_of(names, cameras)))
     natives = [
-        _native_image(
-            image.name, image.name[:-4], "png", native.camera(image.camera_id), grid, overlap
-        )
-        for image in (native.find_image_with_name(name) for name in sorted(names))
+        _native_image(image.name, image.name[:-4], "png", native.camera_of(image), grid, overlap)
+        for image in sorted(native.images, key=lambda image: image.name)
     ]
-    return native, natives, sub_image_model(native, natives)
+    subs = sub_image_model(native, natives)
+    return read_by_pycolmap(native), natives, read_by_pycolmap(subs)
 
 
 def test_undistorted_observations_move_with_the_lens() -> None:
     model = model_of(["a.jpg", "b.jpg"], [camera("OPENCV", 3), camera("SIMPLE_PINHOLE", 5)])
-    native = undistorted_model(model)
+    native = read_by_pycolmap(undistorted_model(read_arrays(model)))
     assert {i: native.image(i).name for i in native.reg_image_ids()} == {1: "a.jpg", 2: "b.jpg"}
     assert {c.camera_id: c.model_name for c in native.cameras.values()} == {
         3: "PINHOLE",
@@ -55,7 +51,7 @@ def test_undistorted_observations_move_with_the_lens() -> None:
 
 def test_only_chosen_images_stay() -> None:
     model = model_of(["a.jpg", "b.jpg"], [camera("PINHOLE", 1), camera("PINHOLE", 1)])
-    native = undistorted_model(model, names=["b.jpg"])
+    native = read_by_pycolmap(undistorted_model(read_arrays(model), names=["b.jpg"]))
     assert [image.name for image in native.images.values()] == ["b.jpg"]
     assert all(point.track.length() == 1 for point in native.points3D.values())
     assert native.num_points3D() < model.num_points3D()
@@ -114,28 +110,25 @@ def test_tracks_and_observations_agree() -> None:
             assert point2d.point3D_id == point_id
 
 
-def test_written_models_are_read_again(tmp_path: Path) -> None:
-    _, _, subs = cut_model(Grid(2, 2), 3)
-    write_model(subs, tmp_path / "sparse")
-    write_model(subs, tmp_path / "sparse")
-    assert [path.name for path in tmp_path.iterdir()] == ["sparse"]
-    again = pycolmap.Reconstruction(tmp_path / "sparse")
-    assert residuals(again).keys() == residuals(subs).keys()
-    assert again.num_points3D() == subs.num_points3D()
-
-
-@pytest.mark.skipif(shutil.which("colmap") is None, reason="needs the program colmap")
-def test_colmap_reads_the_model(tmp_path: Path) -> None:
-    _, _, subs = cut_model(Grid(2, 2), 3)
-    write_model(subs, tmp_path / "sparse")
-    done = subprocess.run(
-        ["colmap", "model_analyzer", "--path", tmp_path / "sparse"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    said = done.stdout + done.stderr
-    assert done.returncode == 0, said
-    assert "Images: 12" in said
-    assert f"Points: {subs.num_points3D()}" in said
-    assert f"Observations: {subs.compute_num_observations()}" in said
+def test_any_rectangle_takes_the_observations_inside_it() -> None:
+    """Rectangles that overlap, leave gaps, reach beyond the image, or hold a single pixel."""
+    native = undistorted_model(read_arrays(model_of(["a.jpg"], [camera("PINHOLE")], points=500)))
+    x, y = np.floor(native.xy[0]).astype(int).tolist()
+    rectangles = [
+        Rectangle(-30, 5, 60, 20),
+        Rectangle(10, 10, 50, 50),
+        Rectangle(x, y, 1, 1),
+        Rectangle(85, 65, 400, 300),
+        Rectangle(200, 200, 10, 10),
+    ]
+    subs = [SubImage(f"{i}.png", 0, i, r, r) for i, r in enumerate(rectangles)]
+    found = sub_image_model(native, [NativeImage("a.jpg", 90, 70, tuple(subs))])
+    for i, r in enumerate(rectangles):
+        corner, size = np.array([r.x0, r.y0]), np.array([r.width, r.height])
+        inside = ((native.xy >= corner) & (native.xy < corner + size)).all(axis=1)
+        np.testing.assert_array_equal(found.xy[found.seen(i)], native.xy[inside] - corner)
+        np.testing.assert_array_equal(
+            found.point_ids[found.point[found.seen(i)]], native.point_ids[native.point[inside]]
+        )
+    assert 1 in np.diff(found.starts) and 0 in np.diff(found.starts)
+    assert set(found.point) == set(range(len(found.point_ids)))

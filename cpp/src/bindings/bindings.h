@@ -6,6 +6,7 @@
 namespace sirpy {
 
 void BindSubImage(pybind11::module_& module);
+void BindSparseModel(pybind11::module_& module);
 void BindStereo(pybind11::module_& module);
 void BindFusion(pybind11::module_& module);
 void BindSynthetic(pybind11::module_& module);

@@ -18,6 +18,16 @@ void ImageReader::SkipRows(int64_t count) {
   for (; count > 0; --count) ReadRows(1, row.data());
 }
 
+void ImageReader::CheckFileHolds(const std::filesystem::path& path, int64_t bytes) {
+  std::error_code error;
+  const uintmax_t size = std::filesystem::file_size(path, error);
+  if (!error && size < static_cast<uintmax_t>(bytes)) {
+    throw InputError("photograph " + path.string() +
+                     " is damaged (it is too short for its size in pixels): replace it by a good "
+                     "copy, or take it out of the folder");
+  }
+}
+
 std::unique_ptr<ImageReader> OpenImageReader(const std::filesystem::path& path, Bands bands) {
   std::array<unsigned char, 4> start = {};
   {

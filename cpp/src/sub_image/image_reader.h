@@ -36,6 +36,10 @@ class ImageReader {
   virtual void Finish() = 0;
 
  protected:
+  // Throws InputError when the file has fewer than `bytes`: a header may claim any size, and
+  // buffers follow it.
+  static void CheckFileHolds(const std::filesystem::path& path, int64_t bytes);
+
   ImageShape shape_;
   bool has_alpha_ = false;
   double held_bytes_per_pixel_ = 0;

@@ -75,6 +75,8 @@ PngReader::PngReader(const std::filesystem::path& path, Bands bands)
   shape_ = {static_cast<int64_t>(png_get_image_width(png, info)),
             static_cast<int64_t>(png_get_image_height(png, info)), png_get_channels(png, info),
             png_get_bit_depth(png, info) / 8};
+  // Deflate makes at most 1032 bytes of one, and bits may be packed eight to a byte.
+  CheckFileHolds(path, shape_.width * shape_.height / (8 * 1032));
 }
 
 PngReader::~PngReader() = default;
