@@ -1,8 +1,8 @@
 """sirpy: dense 3D reconstruction at native resolution by sub-image recapture.
 
 Each stage is a function, and a command of the same name: `sparse`, `plan`, `cut`, `views`, `stereo`, `fuse`,
-`report`; `reconstruct` runs them all. `recapture` gives one rectangle of one photograph. They are imported at
-use, so that `import sirpy` is quick.
+`report`; `reconstruct` runs them all. `recapture` gives one rectangle of one photograph, `export` serves other
+engines. They are imported at use, so that `import sirpy` is quick.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from sirpy.cutting import cut
     from sirpy.dense_stereo import StereoOptions, stereo
     from sirpy.errors import SirpyError
+    from sirpy.exporting import export
     from sirpy.fusion import FusionOptions, fuse
     from sirpy.html_report import report
     from sirpy.layout import Region
@@ -45,6 +46,7 @@ _HOME = {
     "Workspace": "workspace",
     "clusters": "clustering",
     "cut": "cutting",
+    "export": "exporting",
     "fuse": "fusion",
     "plan": "planning",
     "read_area": "area",
@@ -68,6 +70,7 @@ __all__ = [
     "Workspace",
     "clusters",
     "cut",
+    "export",
     "fuse",
     "plan",
     "read_area",

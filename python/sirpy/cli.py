@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
 
 if TYPE_CHECKING:
@@ -203,6 +204,13 @@ def cut(
     area: Area = None,
     area_crs: AreaCrs = None,
     model_crs: ModelCrs = None,
+    same_size: Annotated[
+        int,
+        typer.Option(help="One size for all, a multiple of so many pixels, by more overlap."),
+    ] = 0,
+    min_points: Annotated[
+        int, typer.Option(help="Leave out sub-images that see fewer sparse points.")
+    ] = 0,
     masks: Annotated[
         Path | None, typer.Option(help="Folder of masks NAME.png, black where not to be used.")
     ] = None,
@@ -233,6 +241,8 @@ def cut(
         memory=parse_memory(memory),
         overlap=overlap,
         region=read_region(roi, roi_list, area, area_crs, model_crs),
+        same_size=same_size,
+        min_points=min_points,
         masks=masks,
         # The option classes check the words.
         pixels=PixelOptions(
@@ -276,6 +286,40 @@ def clusters(
     folder = Workspace(workspace)
     found = run(folder, cluster_size=cluster_size)
     print(f"clusters: {folder.clusters} ({len(found)} of at most {cluster_size} sub-images)")
+
+
+@app.command()
+def export(
+    workspace: WorkspaceFolder,
+    engine: Annotated[Engine, typer.Argument(help="What shall read it.", show_default=False)],
+    num_sources: Annotated[int, typer.Option(help="Sub-images matched against, at most.")] = 20,
+    min_points: Annotated[
+        int, typer.Option(help="COLMAP: sub-images with fewer points get a depth range.")
+    ] = 1,
+    mvsnet_depths: Annotated[
+        MvsnetDepths, typer.Option(help="range: PatchmatchNet; interval: MVSNet, CasMVSNet.")
+    ] = "range",
+    copy_policy: Annotated[
+        CopyPolicy, typer.Option(help="How numbered images are made of the sub-images.")
+    ] = "hard-link",
+    quiet: Quiet = False,
+) -> None:
+    """The sub-images for another engine: COLMAP, PMVS, CMP-MVS, MVSNet and its relatives."""
+    from sirpy.exporting import export as run
+    from sirpy.progress import make_progress
+    from sirpy.workspace import Workspace
+
+    folder = Workspace(workspace)
+    run(
+        folder,
+        engine,
+        num_sources=num_sources,
+        min_points=min_points,
+        mvsnet_depths=mvsnet_depths,
+        copy_policy=copy_policy,
+        progress=make_progress(quiet),
+    )
+    print(f"{engine}: {folder.folder}")
 
 
 @app.command()

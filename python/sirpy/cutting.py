@@ -34,6 +34,7 @@ from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model
+from sirpy.sub_image_sets import of_one_size, with_points
 from sirpy.workspace import LeftOut, NativeImage, Workspace, check_writable
 
 Format = Literal["jpg", "png", "tif"]
@@ -80,7 +81,7 @@ class PixelOptions:
             bits, channels = photograph.bits, photograph.channels
             raise InputError(
                 f"{photograph.path} has {channels} channels of {bits} bits, which a {self.format} "
-                "cannot hold: choose tif, or leave the format out"
+                "cannot hold: choose tif, leave the format out, or convert it to 8-bit RGB"
             )
         return self.format
 
@@ -105,6 +106,8 @@ def cut(
     identity: str | None = None,
     overlap: int = 0,
     region: Region = Region(),
+    same_size: int = 0,
+    min_points: int = 0,
     masks: Path | str | None = None,
     pixels: PixelOptions = PixelOptions(),
     undistort: UndistortOptions = UndistortOptions(),
@@ -125,6 +128,9 @@ def cut(
         identity: tells whether a model that was read already is the same as in an earlier run.
         overlap: extra pixels on each side of a sub-image.
         region: what of the photographs is cut; all of it by default.
+        same_size: with n > 0 the files have one size, a multiple of n pixels, by more overlap; as
+            far as the photographs are large enough.
+        min_points: sub-images that see fewer sparse points are left out, said by `progress.note`.
         masks: folder of masks, black where a photograph is not to be used: NAME.png for the
             photograph NAME, as COLMAP names them. They are undistorted and cut with it.
 
@@ -134,6 +140,10 @@ def cut(
         OutputError: the output folder cannot be written.
     """
     images, output = Path(images), Path(output)
+    if same_size < 0:
+        raise InputError(f"same_size = {same_size} is not possible: it must be at least 0 pixels")
+    if min_points < 0:
+        raise InputError(f"min_points = {min_points} is not possible: it must be at least 0")
     check_folders(images, output)
     if isinstance(model, (str, Path)):
         identity = model_identity(Path(model))
@@ -156,6 +166,18 @@ def cut(
     if region.area is not None:
         count = sum(len(task.native.sub_images) for task in tasks)
         progress.note(f"area: {len(tasks)} photographs see it, in {count} sub-images")
+    if same_size:
+        tasks = _of_natives(tasks, of_one_size([task.native for task in tasks], same_size))
+    if min_points:
+        scene = native_scene(undistorted_model(model, undistort))
+        kept, dropped = with_points([task.native for task in tasks], scene, min_points)
+        del scene
+        tasks = _of_natives(tasks, kept)
+        if dropped:
+            progress.note(
+                f"{len(dropped)} sub-images see fewer than {min_points} sparse points and are left "
+                f"out ({', '.join(dropped[:3])}{' ...' if len(dropped) > 3 else ''})"
+            )
     workspace = Workspace(output)
     _check_apart(images, workspace)
     check_writable(output)
@@ -229,6 +251,16 @@ class _Inputs:
                 "photographs that the model was solved with, or solve it again"
             )
         return photograph
+
+
+def _of_natives(tasks: list[_Task], natives: list[NativeImage]) -> list[_Task]:
+    """The tasks of `natives`, cut as those say."""
+    by_name = {native.name: native for native in natives}
+    return [
+        replace(task, native=by_name[task.native.name])
+        for task in tasks
+        if task.native.name in by_name
+    ]
 
 
 def _check_inputs(

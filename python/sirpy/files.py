@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from sirpy.engine_options import CopyPolicy
 from sirpy.errors import OutputError
 
 
@@ -37,9 +40,36 @@ def written_whole(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
-def write_json(path: Path, value: Any) -> None:
+def place(source: Path, target: Path, policy: CopyPolicy) -> None:
+    """Makes `target` a second name of the file `source`, or a copy of it.
+
+    Where the file system has no links of the kind, or `source` lies on another one, it is a copy.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with written_whole(target) as temporary:
+        try:
+            if policy == "hard-link":
+                os.link(source, temporary)
+            elif policy == "soft-link":
+                temporary.symlink_to(os.path.relpath(source, target.parent))
+        except OSError as error:
+            if error.errno == errno.ENOSPC:
+                raise
+        if not os.path.lexists(temporary):
+            shutil.copyfile(source, temporary)
+
+
+def write_text(path: Path, text: str, *, executable: bool = False) -> None:
     with written_whole(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
+        if executable:
+            temporary.chmod(0o755)
+
+
+def write_json(path: Path, value: Any) -> None:
+    write_text(path, json.dumps(value, indent=1, sort_keys=True) + "\n")
 
 
 def fingerprint(*parts: Any) -> str:

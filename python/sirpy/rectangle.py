@@ -53,6 +53,19 @@ class Rectangle:
             self.x0 - margin, self.y0 - margin, self.width + 2 * margin, self.height + 2 * margin
         )
 
+    def grown(self, width: int, height: int, inside: Rectangle) -> Rectangle:
+        """A rectangle of at least that size around this one, moved into `inside`; that large at most."""
+        width = min(max(width, self.width), inside.width)
+        height = min(max(height, self.height), inside.height)
+        x0 = self.x0 - (width - self.width) // 2
+        y0 = self.y0 - (height - self.height) // 2
+        return Rectangle(
+            min(max(x0, inside.x0), inside.x1 - width),
+            min(max(y0, inside.y0), inside.y1 - height),
+            width,
+            height,
+        )
+
     def intersection(self, other: Rectangle) -> Rectangle:
         """The pixels in both; empty (zero area) where there are none."""
         return Rectangle.from_corners(

@@ -1,8 +1,8 @@
 """`colmap sir_undistorter`: COLMAP's image_undistorter with recapture, on COLMAP's own option
 names.
 
-The output is the workspace of COLMAP's dense stereo (images, sparse, stereo, run scripts), with
-sub-images in place of photographs.
+The output is the workspace of COLMAP's dense stereo (images, sparse, stereo, run scripts), or what
+another engine reads, with sub-images in place of photographs.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ def main(arguments: list[str]) -> int:
 
 
 def sir_undistorter(options: Options, progress: Progress) -> None:
-    """Undistorts and cuts the photographs, and writes COLMAP's dense workspace.
+    """Undistorts and cuts the photographs, and writes what the engine reads.
 
     Raises:
         InputError, OutputError, BudgetError: as `cutting.cut`, or no plan meets the memory.
     """
     if options.num_threads > 0:
         os.environ["OMP_NUM_THREADS"] = str(options.num_threads)  # read when the core is loaded
-    from sirpy.colmap_workspace import write_dense_folder
     from sirpy.cutting import PixelOptions, cut
+    from sirpy.exporting import export
     from sirpy.files import fingerprint
     from sirpy.layout import read_region
     from sirpy.lens import UndistortOptions
@@ -78,6 +78,8 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         grid=_grid(options, model, undistort, region),
         overlap=options.sub_image_overlap,
         region=region,
+        same_size=_size_multiple(options.output_type),
+        min_points=options.min_points if options.few_points == "drop" else 0,
         masks=options.mask_path,
         pixels=PixelOptions(
             options.bands,
@@ -88,23 +90,31 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         undistort=undistort,
         progress=progress,
     )
-    without_points = write_dense_folder(workspace, options.num_patch_match_src_images)
+    export(
+        workspace,
+        options.output_type,
+        num_sources=options.num_patch_match_src_images,
+        min_points=options.min_points,
+        mvsnet_depths=options.mvsnet_depths,
+        copy_policy=options.copy_policy or "hard-link",
+        progress=progress,
+    )
     if options.cluster_size is not None:
         from sirpy.clustering import clusters
 
         clusters(workspace, cluster_size=options.cluster_size)
-    if without_points:
-        progress.note(
-            f"{len(without_points)} sub-images see no sparse point, so COLMAP could not tell their "
-            "depth range; stereo/patch-match.cfg leaves them out "
-            f"({', '.join(without_points[:3])}"
-            f"{' ...' if len(without_points) > 3 else ''})"
-        )
     if workspace.left_out:
         raise InputError(
             f"{workspace.folder} is made without {len(workspace.left_out)} of the photographs "
             f"({'; '.join(f'{out.name}: {out.reason}' for out in workspace.left_out[:3])})"
         )
+
+
+def _size_multiple(output_type: str) -> int:
+    """What sizes the engine takes sub-images in (see `cut`)."""
+    from sirpy.mvsnet import SIZE_MULTIPLE
+
+    return {"MVSNET": SIZE_MULTIPLE, "CMP-MVS": 1}.get(output_type, 0)
 
 
 def _listed_names(path: Path | None) -> list[str] | None:

@@ -10,8 +10,9 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal, NoReturn, get_args
 
+from sirpy.engine_options import CopyPolicy, Engine, FewPoints, MvsnetDepths
 from sirpy.errors import InputError
 
 _LOGGING = (
@@ -24,6 +25,12 @@ _LOGGING = (
 )
 _RANDOM = ("random_seed", "default_random_seed")
 _JPEG_QUALITY = 95
+# COLMAP 3.8 writes soft-link, 4.x SOFT_LINK.
+_COPY_POLICIES: dict[str, CopyPolicy] = {
+    "copy": "copy",
+    "hardlink": "hard-link",
+    "softlink": "soft-link",
+}
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,12 @@ class Options:
     output_path: Path
     image_list_path: Path | None
     mask_path: Path | None
+    output_type: Engine
+    copy_policy: CopyPolicy | None
     num_patch_match_src_images: int
+    min_points: int
+    few_points: FewPoints
+    mvsnet_depths: MvsnetDepths
     blank_pixels: float
     min_scale: float
     max_scale: float
@@ -106,10 +118,12 @@ def _parser() -> argparse.ArgumentParser:
     paths.add_argument("--image_path", type=Path, help="folder of the photographs (required)")
     paths.add_argument("--input_path", type=Path, help="folder of the sparse model (required)")
     paths.add_argument("--output_path", type=Path, help="folder of the workspace (required)")
-    paths.add_argument("--output_type", default="COLMAP", help="COLMAP only")
+    paths.add_argument("--output_type", default="COLMAP", help=", ".join(get_args(Engine)))
     paths.add_argument("--image_list_path", type=Path, help="file of the names to use, one a line")
     paths.add_argument(
-        "--copy_policy", default="copy", help="sub-images are always files of their own"
+        "--copy_policy",
+        help="copy, soft-link or hard-link: how PMVS, CMP-MVS, MVSNET get their numbered images; "
+        "hard-link if not given",
     )
     paths.add_argument("--mask_path", type=Path, help="folder of masks NAME.png, cut with them")
     pixels = parser.add_argument_group("pixels")
@@ -128,7 +142,16 @@ def _parser() -> argparse.ArgumentParser:
         help="COLMAP's is bilinear",
     )
     paths.add_argument(
-        "--num_patch_match_src_images", type=int, default=20, help="in patch-match.cfg"
+        "--num_patch_match_src_images",
+        type=int,
+        default=20,
+        help="in patch-match.cfg, or in MVSNET's pair.txt",
+    )
+    paths.add_argument(
+        "--mvsnet_depths",
+        default="range",
+        help="in MVSNET's cams: range (DEPTH_MIN DEPTH_MAX: PatchmatchNet) or interval (DEPTH_MIN "
+        "DEPTH_INTERVAL DEPTH_NUM DEPTH_MAX: MVSNet, CasMVSNet)",
     )
     paths.add_argument("--num_threads", type=int, default=-1, help="-1 is one per core")
     grid = parser.add_argument_group("sub-images (one of the three; without any, 1 x 1)")
@@ -152,6 +175,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     region.add_argument("--area_crs", help="of the area, e.g. EPSG:25832; else what the file says")
     region.add_argument("--model_crs", help="of the model; without, the area is in its coordinates")
+    points = parser.add_argument_group("sub-images that see few sparse points")
+    points.add_argument("--min_points", type=int, default=1, help="few are fewer than these")
+    points.add_argument(
+        "--few_points",
+        default="keep",
+        help="keep: with the depth range of the sparse points around; drop: not written at all",
+    )
     camera = parser.add_argument_group("the undistorted camera, as in image_undistorter")
     camera.add_argument("--blank_pixels", type=float, default=0.0)
     camera.add_argument("--min_scale", type=float, default=0.2)
@@ -197,19 +227,33 @@ def _checked(values: dict[str, Any], notes: list[str]) -> Options:
     for name in ("image_path", "input_path", "output_path"):
         if values[name] is None:
             raise InputError(f"--{name} is missing: see colmap sir_undistorter --help")
+    _check_choice(values, "output_type", Engine)
     if values["output_type"] != "COLMAP":
-        raise InputError(
-            f"--output_type {values['output_type']} is not supported yet: "
-            "leave it out, or give COLMAP"
-        )
-    if _plain(values["copy_policy"]) not in ("copy", "softlink", "hardlink"):
-        raise InputError(
-            f"--copy_policy {values['copy_policy']} is not one of copy, soft-link and hard-link"
-        )
+        if values["image_format"] not in (None, "jpg"):
+            raise InputError(
+                f"--output_type {values['output_type']} takes JPEG: leave --image_format out, or "
+                "give jpg"
+            )
+        values["image_format"] = "jpg"
+    _check_choice(values, "few_points", FewPoints)
+    _check_choice(values, "mvsnet_depths", MvsnetDepths)
+    if values["copy_policy"] is not None:
+        policy = values["copy_policy"].lower().replace("-", "").replace("_", "")
+        if policy not in _COPY_POLICIES:
+            raise InputError(
+                f"--copy_policy {values['copy_policy']} is not possible: "
+                "give one of copy, soft-link, hard-link"
+            )
+        values["copy_policy"] = _COPY_POLICIES[policy]
     if values["jpeg_quality"] == -1:  # COLMAP's word for its default
         values["jpeg_quality"] = _JPEG_QUALITY
     _check_range(values, "jpeg_quality", 1, 100)
-    for name in ("num_patch_match_src_images", "sub_image_columns", "sub_image_rows"):
+    for name in (
+        "num_patch_match_src_images",
+        "min_points",
+        "sub_image_columns",
+        "sub_image_rows",
+    ):
         _check_range(values, name, 1)
     _check_range(values, "max_sub_image_size", 1)
     _check_range(values, "sub_image_overlap", 0)
@@ -230,6 +274,14 @@ def _checked(values: dict[str, Any], notes: list[str]) -> Options:
     )
 
 
+def _check_choice(values: dict[str, Any], name: str, literal: Any) -> None:
+    choices = get_args(literal)
+    if values[name] not in choices:
+        raise InputError(
+            f"--{name} {values[name]} is not possible: give one of {', '.join(choices)}"
+        )
+
+
 def _check_range(values: dict[str, Any], name: str, least: int, most: int | None = None) -> None:
     value = values[name]
     if value is not None and (value < least or (most is not None and value > most)):
@@ -240,10 +292,9 @@ def _check_range(values: dict[str, Any], name: str, least: int, most: int | None
 def _notes(values: dict[str, Any]) -> list[str]:
     """What is accepted and does nothing."""
     notes = []
-    if _plain(str(values["copy_policy"])) in ("softlink", "hardlink"):
-        notes.append(
-            f"--copy_policy {values['copy_policy']} has no effect: every sub-image is a new file"
-        )
+    policy = values["copy_policy"]
+    if values["output_type"] == "COLMAP" and policy is not None and policy.lower() != "copy":
+        notes.append(f"--copy_policy {policy} has no effect: every sub-image is a new file")
     if without := [name for name in (*_RANDOM, *_LOGGING) if values[name] is not None]:
         verb = "has" if len(without) == 1 else "have"
         notes.append(
@@ -251,8 +302,3 @@ def _notes(values: dict[str, Any]) -> list[str]:
             + f" {verb} no effect: nothing is random here, and messages go to stderr"
         )
     return notes
-
-
-def _plain(policy: str) -> str:
-    """COLMAP 3.8 writes soft-link, 4.x SOFT_LINK."""
-    return policy.lower().replace("-", "").replace("_", "")

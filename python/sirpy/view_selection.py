@@ -17,10 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sirpy.errors import InputError
 from sirpy.files import fingerprint, write_json, written_whole
-from sirpy.native_scene import Floats, Indices, NativeCamera, NativeScene, read_native_scene
+from sirpy.native_scene import (
+    Floats,
+    Indices,
+    NativeCamera,
+    NativeScene,
+    Observations,
+    read_native_scene,
+)
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.workspace import NativeImage, SubImage, Workspace
@@ -226,13 +234,29 @@ def sub_image_views(
     chosen: Counter[str] = Counter()
     for block in _blocks(native, sub_image.stored):
         points = seen.point[observations_around(scene, native, block)]
-        ranked = _ranked_sources(scene, native.name, points)
+        ranked = _scored_sources(scene, native.name, points)
         best = list(islice(filter(has_part, ranked), num_sources))
         # The best of each block come before the second best of any.
         chosen.update({name: 1 << (MOST_SOURCES - i) for i, name in enumerate(best)})
     names = sorted(chosen, key=lambda name: (-chosen[name], name))[:MOST_SOURCES]
     sources = tuple(Source(name, windows[name]) for name in names)
     return SubImageViews(sub_image.name, window, *depths, sources)
+
+
+def points_seen(scene: NativeScene, native: str, rectangle: Rectangle) -> int:
+    """How many sparse points a native image sees in a rectangle (native pixels)."""
+    return int(np.count_nonzero(_inside(scene.observations[native], rectangle)))
+
+
+def source_scores(
+    scene: NativeScene, native: NativeImage, rectangle: Rectangle
+) -> dict[str, float]:
+    """Native images by their score as sources of a rectangle (native pixels), the best first.
+
+    The points are those in the rectangle or, where they are few, around it, as for the depth range.
+    """
+    near = observations_around(scene, native, rectangle)
+    return _scored_sources(scene, native.name, scene.observations[native.name].point[near])
 
 
 def _blocks(native: NativeImage, rectangle: Rectangle) -> list[Rectangle]:
@@ -256,11 +280,15 @@ def observations_around(scene: NativeScene, native: NativeImage, rectangle: Rect
     margin = max(1, max(rectangle.width, rectangle.height) // 8)
     while True:
         region = rectangle.padded(margin)
-        x, y = seen.pixel[:, 0], seen.pixel[:, 1]
-        inside = (x >= region.x0) & (x < region.x1) & (y >= region.y0) & (y < region.y1)
+        inside = _inside(seen, region)
         if inside.sum() >= _ENOUGH_POINTS or region.contains(native.rectangle):
             return np.flatnonzero(inside)
         margin *= 2
+
+
+def _inside(seen: Observations, rectangle: Rectangle) -> npt.NDArray[np.bool_]:
+    x, y = seen.pixel[:, 0], seen.pixel[:, 1]
+    return (x >= rectangle.x0) & (x < rectangle.x1) & (y >= rectangle.y0) & (y < rectangle.y1)
 
 
 def _depth_range(depth: Floats) -> tuple[float, float]:
@@ -269,19 +297,27 @@ def _depth_range(depth: Floats) -> tuple[float, float]:
     return float(max(low - margin, 0.1 * low)), float(high + margin)
 
 
-def _ranked_sources(scene: NativeScene, reference: str, points: Indices) -> list[str]:
-    """Native images by their score over the given points; those with hardly a shared point are left out."""
-    names = list(scene.cameras)
+def _scored_sources(scene: NativeScene, reference: str, points: Indices) -> dict[str, float]:
+    """Scores of native images over the given points, the best first; those with hardly a shared point
+    are left out.
+
+    Only the cameras that see one of the points are touched: the work does not grow with the number of
+    photographs.
+    """
     start, camera = scene.observers
     count = start[points + 1] - start[points]
     which = np.repeat(np.arange(len(points)), count)
     offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    observer = camera[np.repeat(start[points], count) + offset]
-    other = observer != names.index(reference)
+    present, observer = np.unique(
+        camera[np.repeat(start[points], count) + offset], return_inverse=True
+    )
+    every = list(scene.cameras)
+    names = [every[i] for i in present]
+    other = np.array([name != reference for name in names], bool)[observer]
     which, observer = which[other], observer[other]
 
     world = scene.points[points[which]]
-    centres = np.array([scene.cameras[name].centre for name in names])
+    centres = np.array([scene.cameras[name].centre for name in names]).reshape(-1, 3)
     focals = np.array([scene.cameras[name].intrinsics[0, 0] for name in names])
     here = scene.cameras[reference].centre - world
     there = centres[observer] - world
@@ -301,7 +337,7 @@ def _ranked_sources(scene: NativeScene, reference: str, points: Indices) -> list
     shared = np.bincount(observer, minlength=len(names))
     enough = min(_MIN_SHARED, max(3, len(points) // 4))
     order = np.lexsort((np.arange(len(names)), -score))
-    return [names[i] for i in order if score[i] > 0 and shared[i] >= enough]
+    return {names[i]: float(score[i]) for i in order if score[i] > 0 and shared[i] >= enough}
 
 
 def _ranks(scene: NativeScene) -> dict[str, int]:

@@ -12,6 +12,11 @@ OUT/views.json           sources, depth range and source windows of each sub-ima
 OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
 OUT/fusion/              the points of each sub-image
 OUT/fused.ply, OUT/cloud.png, OUT/report.html, OUT/run.json
+
+For other engines, on request (they number the sub-images):
+OUT/cams/, OUT/pair.txt, OUT/images/00000000.jpg ...   MVSNet and its relatives
+OUT/pmvs/, OUT/run-pmvs.sh                             PMVS
+OUT/00001.jpg, OUT/00001_P.txt ...                     CMP-MVS
 """
 
 from __future__ import annotations
@@ -31,12 +36,33 @@ from sirpy.files import write_json
 from sirpy.rectangle import Rectangle
 
 Pass = Literal["photometric", "geometric"]
+MapFolder = Literal["depth_maps", "normal_maps", "consistency_graphs"]
 
-# A stage that has to be done again takes with it what later stages made of its output.
+# A stage that has to be done again takes with it what later stages made of its output. Names may be
+# patterns.
 _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
     "sparse": ("sfm",),
-    "cut": ("sir.json", "native", "images", "masks", "sparse", "clusters.json", "clusters"),
-    "views": ("views.json", "stereo/patch-match.cfg", "stereo/fusion.cfg"),
+    "cut": (
+        "sir.json",
+        "native",
+        "images",
+        "masks",
+        "sparse",
+        "clusters.json",
+        "clusters",
+        "cams",
+        "pair.txt",
+        "pmvs",
+        "run-pmvs.sh",
+        "[0-9][0-9][0-9][0-9][0-9].jpg",
+        "[0-9][0-9][0-9][0-9][0-9]_P.txt",
+    ),
+    "views": (
+        "views.json",
+        "stereo/patch-match.cfg",
+        "stereo/fusion.cfg",
+        "stereo/few-points",
+    ),
     "stereo": (
         "stereo/depth_maps",
         "stereo/normal_maps",
@@ -181,9 +207,7 @@ class Workspace:
     def stereo(self) -> Path:
         return self.folder / "stereo"
 
-    def stereo_folder(
-        self, kind: Literal["depth_maps", "normal_maps", "consistency_graphs"]
-    ) -> Path:
+    def stereo_folder(self, kind: MapFolder) -> Path:
         return self.stereo / kind
 
     @property
@@ -193,6 +217,10 @@ class Workspace:
     @property
     def fusion_config(self) -> Path:
         return self.stereo / "fusion.cfg"
+
+    def few_points_config(self, number: int) -> Path:
+        """A list as `patch_match_config`, of sub-images that need a depth range given."""
+        return self.stereo / "few-points" / f"{number:04}.cfg"
 
     def run_script(self, of_pass: Pass) -> Path:
         """Dense reconstruction by COLMAP, for those who prefer it."""
@@ -208,6 +236,31 @@ class Workspace:
     def mask(self, sub_image: SubImage) -> Path:
         """Black where pixels are not to be used; named as COLMAP names masks."""
         return self.masks / f"{sub_image.name}.png"
+
+    def mvsnet_image(self, number: int) -> Path:
+        return self.images / f"{number:08}.jpg"
+
+    def mvsnet_camera(self, number: int) -> Path:
+        return self.folder / "cams" / f"{number:08}_cam.txt"
+
+    @property
+    def mvsnet_pairs(self) -> Path:
+        return self.folder / "pair.txt"
+
+    @property
+    def pmvs(self) -> Path:
+        """The data folder of PMVS; what is in it is named by `pmvs.py` alone."""
+        return self.folder / "pmvs"
+
+    @property
+    def pmvs_script(self) -> Path:
+        return self.folder / "run-pmvs.sh"
+
+    def cmp_mvs_image(self, number: int) -> Path:
+        return self.folder / f"{number:05}.jpg"
+
+    def cmp_mvs_camera(self, number: int) -> Path:
+        return self.folder / f"{number:05}_P.txt"
 
     def depth_map(self, sub_image: SubImage, of_pass: Pass) -> Path:
         return self.stereo / "depth_maps" / f"{sub_image.name}.{of_pass}.bin"
@@ -355,19 +408,29 @@ class Workspace:
         stages = list(_STAGE_OUTPUTS)
         stale = stages[stages.index(stage) :]
         for name in stale:
-            for output in _STAGE_OUTPUTS[name]:
-                if name not in known and os.path.lexists(self.folder / output):
+            for made in self._outputs(name):
+                if name not in known:
                     raise OutputError(
-                        f"{self.folder / output} is in the way, and not of this workspace: "
+                        f"{made} is in the way, and not of this workspace: "
                         "choose another folder with --output, or move it away"
                     )
         for name in stale:
-            for output in _STAGE_OUTPUTS[name]:
-                _remove(self.folder / output)
+            for made in self._outputs(name):
+                _remove(made)
         self._forget_index()
         kept = {name: value for name, value in known.items() if name not in stale}
         write_json(path, {**kept, stage: fingerprint})
         return False
+
+    def _outputs(self, stage: str) -> list[Path]:
+        """What there is of a stage's outputs."""
+        found: list[Path] = []
+        for output in _STAGE_OUTPUTS[stage]:
+            if "[" in output:
+                found += sorted(self.folder.glob(output))
+            elif os.path.lexists(self.folder / output):
+                found.append(self.folder / output)
+        return found
 
     def _forget_index(self) -> None:
         self.__dict__.pop("_index", None)

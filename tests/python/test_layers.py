@@ -10,17 +10,20 @@ import sirpy
 PACKAGE = Path(sirpy.__file__).parent
 # Each line may import from the lines above it, and from modules to its left.
 LAYERS = """
-    errors files memory rectangle resources
+    engine_options errors files memory rectangle resources
     workspace progress
     _core
     photographs exif ply pictures
     flight truth synthetic
     model_files model_arrays self_calibration structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
-    view_selection area layout planning
+    view_selection area layout planning sub_image_sets
     cutting windows
     clustering
-    colmap_workspace undistorter_options sir_undistorter colmap_launcher
+    engine_views
+    cmp_mvs mvsnet pmvs colmap_workspace
+    exporting
+    undistorter_options sir_undistorter colmap_launcher
     dense_stereo
     fusion
     overview cloud_picture html_report

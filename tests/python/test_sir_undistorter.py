@@ -13,6 +13,7 @@ from bumpy_ground import FOCAL, HEIGHT, WIDTH, write_photographs
 from sirpy.errors import InputError
 from sirpy.rectangle import Grid
 from sirpy.sir_undistorter import grid_for_side, main
+from sub_image_scenes import write_raster
 
 
 @pytest.fixture
@@ -24,9 +25,9 @@ def inputs(tmp_path: Path) -> list[str]:
     camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", FOCAL, WIDTH, HEIGHT)
     model.add_camera_with_trivial_rig(camera)
     generator = np.random.default_rng(5)
-    points = generator.uniform([-2.5, -3, 9], [-1, 3, 11], (30, 3))
+    points = generator.uniform([-2.5, -2, 9], [-1, 2, 11], (30, 3))
     for image_id, name in enumerate(names, start=1):
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.1 * image_id, 0.0, 0.0]))
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.0, 0.7 * image_id, 0.0]))
         pixels = np.array([camera.img_from_cam(pose * point) for point in points])
         image = pycolmap.Image(name=name, camera_id=1, image_id=image_id, keypoints=pixels)
         model.add_image_with_trivial_frame(image, pose)
@@ -54,36 +55,143 @@ def test_the_workspace_is_colmaps(
     assert {camera.width for camera in model.cameras.values()} == {WIDTH // 2 + 8}
     # The right halves see no point, so COLMAP could not tell their depth range.
     left = [name for name in images if "c00" in name]
-    lines = (out / "stereo" / "patch-match.cfg").read_text().splitlines()
+    stereo = out / "stereo"
+    lines = (stereo / "patch-match.cfg").read_text().splitlines()
     assert lines == [line for name in left for line in (name, "__auto__, 3")]
-    assert (out / "stereo" / "fusion.cfg").read_text().splitlines() == left
-    assert "2 sub-images see no sparse point" in capsys.readouterr().err
+    for number, other in enumerate((2, 1)):
+        head, name, sources = (stereo / "few-points" / f"{number:04}.cfg").read_text().splitlines()
+        assert name == f"{number + 1}_r00_c01.jpg"
+        assert sources.split(", ")[0] == f"{other}_r00_c01.jpg"
+        low, high = float(head.split()[2]), float(head.split()[4])
+        assert 8 < low < 9.5 and 10.5 < high < 12
+    assert (stereo / "fusion.cfg").read_text().splitlines() == images
+    assert "2 sub-images (1_r00_c01.jpg, 2_r00_c01.jpg) see fewer" in capsys.readouterr().err
     for folder in ("depth_maps", "normal_maps", "consistency_graphs"):
         assert list((out / "stereo" / folder).iterdir()) == []
 
 
-def test_the_run_scripts_call_colmap_at_full_resolution(inputs: list[str], tmp_path: Path) -> None:
-    assert main(inputs) == 0
+def _commands(script: Path, tmp_path: Path) -> list[tuple[str, dict[str, str]]]:
+    """What a run script calls of COLMAP: the command and its options."""
     fake = tmp_path / "fake colmap"
     fake.write_text('#!/bin/sh\nfor word in "$@"; do printf "%s|" "$word"; done\necho\n')
     fake.chmod(0o755)
-    workspace = tmp_path / "out"
-    for kind in ("geometric", "photometric"):
-        done = subprocess.run(
-            [workspace / f"run-colmap-{kind}.sh"],
-            cwd="/",
-            env={**os.environ, "COLMAP": str(fake)},
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
-        assert done.returncode == 0, done.stderr
-        stereo, fusion, mesher = done.stdout.splitlines()
-        assert stereo.startswith(f"patch_match_stereo|--workspace_path|{workspace}|")
-        assert "--PatchMatchStereo.max_image_size|-1|" in stereo
-        assert f"geom_consistency|{'true' if kind == 'geometric' else 'false'}|" in stereo
-        assert f"--input_type|{kind}|" in fusion
-        assert mesher.startswith("poisson_mesher|")
+    done = subprocess.run(
+        [script],
+        cwd="/",
+        env={**os.environ, "COLMAP": str(fake)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    calls = [line.split("|")[:-1] for line in done.stdout.splitlines()]
+    return [(words[0], dict(zip(words[1::2], words[2::2], strict=True))) for words in calls]
+
+
+@pytest.mark.parametrize("kind", ["geometric", "photometric"])
+def test_the_run_scripts_call_colmap_at_full_resolution(
+    inputs: list[str], tmp_path: Path, kind: str
+) -> None:
+    assert main(inputs) == 0
+    out = tmp_path / "out"
+    stereo, fusion, mesher = _commands(out / f"run-colmap-{kind}.sh", tmp_path)
+    consistency = "true" if kind == "geometric" else "false"
+    assert stereo == (
+        "patch_match_stereo",
+        {
+            "--workspace_path": str(out),
+            "--workspace_format": "COLMAP",
+            "--PatchMatchStereo.max_image_size": "-1",
+            "--PatchMatchStereo.geom_consistency": consistency,
+        },
+    )
+    assert fusion[0] == "stereo_fusion"
+    assert fusion[1]["--input_type"] == kind
+    assert fusion[1]["--StereoFusion.max_image_size"] == "-1"
+    assert "--StereoFusion.mask_path" not in fusion[1]
+    assert mesher[0] == "poisson_mesher"
+
+
+def test_the_run_scripts_hand_over_the_masks(inputs: list[str], tmp_path: Path) -> None:
+    (tmp_path / "black").mkdir()
+    mask = pycolmap.Bitmap.from_array(np.zeros((HEIGHT, WIDTH), np.uint8))
+    assert mask.write(tmp_path / "black" / "1.jpg.png")
+    assert main([*inputs, f"--mask_path={tmp_path / 'black'}"]) == 0
+    out = tmp_path / "out"
+    _, (command, options), _ = _commands(out / "run-colmap-geometric.sh", tmp_path)
+    assert command == "stereo_fusion"
+    assert options["--StereoFusion.mask_path"] == str(out / "masks")
+
+
+@pytest.mark.parametrize("kind", ["geometric", "photometric"])
+def test_the_run_scripts_give_sub_images_without_points_their_depths(
+    inputs: list[str], tmp_path: Path, kind: str
+) -> None:
+    assert main([*inputs, "--sub_image_columns=2"]) == 0
+    out = tmp_path / "out"
+    calls = _commands(out / f"run-colmap-{kind}.sh", tmp_path)
+    stereo = [options for command, options in calls if command == "patch_match_stereo"]
+    lists = [str(out / "stereo" / "few-points" / f"{number:04}.cfg") for number in (0, 1)]
+    passes = [
+        (options.get("--config_path"), options["--PatchMatchStereo.geom_consistency"])
+        for options in stereo
+    ]
+    first = [(path, "false") for path in lists]
+    if kind == "geometric":
+        # The maps of all sources are there before the first geometric pass, which wants them.
+        assert passes == [*first, (None, "true"), *[(path, "true") for path in lists]]
+        assert [options.get("--PatchMatchStereo.filter") for options in stereo[:2]] == ["false"] * 2
+    else:
+        assert passes == [*first, (None, "false")]
+    for options in stereo:
+        assert options["--PatchMatchStereo.max_image_size"] == "-1"
+        if path := options.get("--config_path"):
+            head = Path(path).read_text().split()
+            assert options["--PatchMatchStereo.depth_min"] == head[2]
+            assert options["--PatchMatchStereo.depth_max"] == head[4]
+        else:
+            assert "--PatchMatchStereo.depth_min" not in options
+
+
+def test_sub_images_without_points_are_dropped_as_asked(
+    inputs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*inputs, "--sub_image_columns=2", "--few_points=drop"]) == 0
+    out = tmp_path / "out"
+    left = ["1_r00_c00.jpg", "2_r00_c00.jpg"]
+    assert sorted(path.name for path in (out / "images").iterdir()) == left
+    model = pycolmap.Reconstruction(out / "sparse")
+    assert sorted(model.image(i).name for i in model.reg_image_ids()) == left
+    assert (out / "stereo" / "fusion.cfg").read_text().splitlines() == left
+    assert not (out / "stereo" / "few-points").exists()
+    assert "2 sub-images see fewer than 1 sparse points and are left out" in capsys.readouterr().err
+
+
+def test_another_output_type_cuts_png_into_jpeg_of_one_size(
+    inputs: list[str], tmp_path: Path
+) -> None:
+    photographs = tmp_path / "photographs"
+    for number in (1, 2):
+        image = pycolmap.Bitmap.read(photographs / f"{number}.jpg", True)
+        image.write(tmp_path / "png.png")
+        (tmp_path / "png.png").rename(photographs / f"{number}.jpg")  # by content a PNG
+    grid = ["--sub_image_columns=3", "--sub_image_overlap=5"]
+    assert main([*inputs, *grid, "--output_type=MVSNET", "--copy_policy=soft-link"]) == 0
+    out = tmp_path / "out"
+    for number in range(6):
+        image = out / "images" / f"{number:08}.jpg"
+        assert image.is_symlink() and image.read_bytes()[:2] == b"\xff\xd8"
+        assert pycolmap.Bitmap.read(image, True).width == 192
+    assert len(list((out / "cams").iterdir())) == 6
+    # The next cut takes away what was made of this one.
+    assert main([*inputs, "--output_type=CMP-MVS"]) == 0
+    assert not (out / "cams").exists() and not (out / "pair.txt").exists()
+    assert sorted(path.name for path in out.glob("0*")) == [
+        *("00001.jpg", "00001_P.txt", "00002.jpg", "00002_P.txt")
+    ]
+    assert main([*inputs, "--output_type=PMVS", "--sub_image_rows=2"]) == 0
+    assert not list(out.glob("0*"))
+    assert len(list((out / "pmvs" / "txt").iterdir())) == 4
 
 
 def test_only_the_listed_images_are_cut(inputs: list[str], tmp_path: Path) -> None:
@@ -177,3 +285,17 @@ def test_grid_for_side_counts_the_overlap() -> None:
     assert grid_for_side(sizes, 500, 10) == Grid(3, 2)
     with pytest.raises(InputError, match="at least 21"):
         grid_for_side(sizes, 20, 10)
+
+
+def test_16_bit_photographs_are_refused_where_the_engine_takes_jpeg(
+    inputs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    deep = np.zeros((HEIGHT, WIDTH, 3), np.uint16)
+    for number in (1, 2):
+        write_raster(tmp_path / "deep.tif", deep)
+        (tmp_path / "deep.tif").rename(tmp_path / "photographs" / f"{number}.jpg")
+    assert main([*inputs, "--output_type=PMVS"]) == 2
+    error = capsys.readouterr().err
+    assert "has 3 channels of 16 bits, which a jpg cannot hold" in error
+    assert "convert it to 8-bit RGB" in error
+    assert not (tmp_path / "out").exists()

@@ -41,7 +41,12 @@ def test_defaults_are_those_of_colmap() -> None:
         output_path=Path("o"),
         image_list_path=None,
         mask_path=None,
+        output_type="COLMAP",
+        copy_policy=None,
         num_patch_match_src_images=20,
+        min_points=1,
+        few_points="keep",
+        mvsnet_depths="range",
         blank_pixels=0.0,
         min_scale=0.2,
         max_scale=2.0,
@@ -87,9 +92,12 @@ def test_the_command_line_overrides_the_project_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("policy", ["soft-link", "hard-link", "SOFT_LINK", "HARD_LINK"])
-def test_links_are_accepted_and_said_to_do_nothing(policy: str) -> None:
+def test_links_are_for_numbered_images_and_else_said_to_do_nothing(policy: str) -> None:
     (note,) = parse([*PATHS, "--copy_policy", policy]).notes
     assert policy in note
+    made = parse([*PATHS, "--output_type=MVSNET", "--copy_policy", policy])
+    assert made.copy_policy == policy.lower().replace("_", "-")
+    assert not made.notes
 
 
 @pytest.mark.parametrize(
@@ -100,7 +108,11 @@ def test_links_are_accepted_and_said_to_do_nothing(policy: str) -> None:
         ([*PATHS, "extra"], "extra"),
         ([*PATHS, "--jpeg_quality", "101"], "--jpeg_quality = 101: it must be 1 to 100"),
         ([*PATHS, "--jpeg_quality", "good"], "invalid int value: 'good'"),
-        ([*PATHS, "--output_type", "PMVS"], "PMVS is not supported"),
+        ([*PATHS, "--output_type", "NVM"], "NVM is not possible: give one of COLMAP, PMVS, CMP"),
+        ([*PATHS, "--output_type=PMVS", "--image_format=png"], "--output_type PMVS takes JPEG"),
+        ([*PATHS, "--few_points", "lose"], "lose is not possible: give one of keep, drop"),
+        ([*PATHS, "--mvsnet_depths", "x"], "x is not possible: give one of range, interval"),
+        ([*PATHS, "--min_points", "0"], "--min_points = 0: it must be at least 1"),
         ([*PATHS, "--copy_policy", "move"], "--copy_policy move"),
         ([*PATHS, "--sub_image_rows", "0"], "--sub_image_rows = 0"),
         ([*PATHS, "--sub_image_overlap", "-1"], "--sub_image_overlap = -1"),
