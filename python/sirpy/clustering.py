@@ -11,6 +11,7 @@ finest GSD (depth / focal length, within 10 %), and three that see it in all, or
 from __future__ import annotations
 
 import heapq
+import json
 import shutil
 from collections import deque
 from dataclasses import dataclass
@@ -145,6 +146,19 @@ def _of_several(sub_images: int, point: Indices, node: Indices, gsd: Floats) -> 
         return Visibility(sub_images, point, node, np.zeros(0, bool))
     finest = np.minimum.reduceat(gsd, _starts(point, int(point[-1]) + 1)[:-1])
     return Visibility(sub_images, point, node, gsd <= _AS_FINE * finest[point])
+
+
+def read_clusters(workspace: Workspace) -> list[list[str]]:
+    """Names of the sub-images of each cluster that was written; empty where none were."""
+    try:
+        index = json.loads(workspace.clusters_index.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return []
+    except ValueError as error:
+        raise InputError(
+            f"{workspace.clusters_index} is damaged ({error}): run `sirpy clusters` again"
+        ) from None
+    return [cluster["sub_images"] for cluster in index["clusters"]]
 
 
 def cover(seen: Visibility, cluster_size: int) -> list[list[int]]:

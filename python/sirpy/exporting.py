@@ -3,8 +3,7 @@ them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
+from sirpy.clustering import read_clusters
 from sirpy.cmp_mvs import write_cmp_mvs
 from sirpy.colmap_workspace import write_dense_folder
 from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
@@ -22,17 +21,17 @@ def export(
     num_sources: int = 20,
     min_points: int = 1,
     mvsnet_depths: MvsnetDepths = "range",
-    clusters: Sequence[Sequence[str]] = (),
     copy_policy: CopyPolicy = "hard-link",
     progress: Progress = Progress(),
 ) -> None:
     """Writes what an engine reads beside images and models into a workspace that was cut.
 
+    PMVS works on the groups of `clusters`, where the workspace has them.
+
     Args:
         num_sources: of each sub-image, at most: chosen by COLMAP itself, listed for MVSNET.
         min_points: sub-images that see fewer sparse points are given a depth range for COLMAP.
         mvsnet_depths: what the line of depths in MVSNET's cameras holds.
-        clusters: names of the sub-images of each group that PMVS shall work on alone.
         copy_policy: how PMVS, CMP-MVS and MVSNET get their numbered images.
 
     Raises:
@@ -45,7 +44,8 @@ def export(
     if engine == "COLMAP":
         _export_colmap(workspace, num_sources, min_points, progress)
     elif engine == "PMVS":
-        write_pmvs(workspace, clusters=clusters, copy_policy=copy_policy, progress=progress)
+        groups = read_clusters(workspace)
+        write_pmvs(workspace, clusters=groups, copy_policy=copy_policy, progress=progress)
     elif engine == "CMP-MVS":
         write_cmp_mvs(workspace, copy_policy=copy_policy, progress=progress)
     else:

@@ -6,6 +6,8 @@ import re
 
 from sirpy.errors import InputError
 
+IMAGE_CACHE_BYTES = 64_000_000  # of decoded sub-images, in each process
+
 
 def parse_memory(text: str) -> int:
     """Bytes of "8GB", "512MB", "1.5 GB" (powers of ten), "8GiB" (powers of two) or "8000000000".

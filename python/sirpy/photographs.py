@@ -30,6 +30,7 @@ _PNG = b"\x89PNG"
 _CACHE = 64  # of GDAL's blocks, MB; its default is a share of the machine's memory
 _BAND_ROWS = 64
 _BAND_COLUMNS = 4096
+_LARGE_BLOCK = 4_000_000  # bytes, compressed
 _BRIGHTER_THAN_WHITE = 0.001  # share of the samples of a 16-bit photograph
 
 Bands = Literal["color", "all"]
@@ -195,9 +196,15 @@ def open_photograph(path: Path, bands: Bands = "color") -> Photograph:
             raster.driver,
             bands,
             alpha and bands == "all",
-            0.0,
+            _held_bytes_per_pixel(raster),
             note,
         )
+
+
+def _held_bytes_per_pixel(raster: Any) -> float:
+    """A block of a TIFF is read before it is decoded; where there is only one, that is all of it."""
+    block = int(raster.get_tag_item("BLOCK_SIZE_0_0", "TIFF", bidx=1) or 0)
+    return block / (raster.width * raster.height) if block > _LARGE_BLOCK else 0.0
 
 
 def photograph_size(path: Path) -> tuple[int, int]:

@@ -47,6 +47,7 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
     """
     if options.num_threads > 0:
         os.environ["OMP_NUM_THREADS"] = str(options.num_threads)  # read when the core is loaded
+    from sirpy.clustering import clusters
     from sirpy.cutting import PixelOptions, cut
     from sirpy.exporting import export
     from sirpy.files import fingerprint
@@ -90,6 +91,8 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         undistort=undistort,
         progress=progress,
     )
+    if options.cluster_size is not None:
+        clusters(workspace, cluster_size=options.cluster_size)
     export(
         workspace,
         options.output_type,
@@ -99,10 +102,6 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         copy_policy=options.copy_policy or "hard-link",
         progress=progress,
     )
-    if options.cluster_size is not None:
-        from sirpy.clustering import clusters
-
-        clusters(workspace, cluster_size=options.cluster_size)
     if workspace.left_out:
         raise InputError(
             f"{workspace.folder} is made without {len(workspace.left_out)} of the photographs "

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from sirpy import _core
 from sirpy.errors import InputError
 from sirpy.files import file_identity, written_whole
+from sirpy.memory import IMAGE_CACHE_BYTES
 from sirpy.photographs import open_photograph, recapture_to_array
 from sirpy.rectangle import Rectangle
 from sirpy.workspace import NativeImage, Pass, SubImage, Workspace
 
-CACHE_BYTES = 64_000_000  # of decoded sub-images, in each process
 _LONGEST_HEADER = 64
 _BYTES_PER_PIXEL = {"grey": 1, "color": 3, "all": 8}
 
@@ -128,7 +128,7 @@ class _ImageCache:
         return image[slices]
 
 
-_CACHE = _ImageCache(CACHE_BYTES)
+_CACHE = _ImageCache(IMAGE_CACHE_BYTES)
 
 
 def _read_file(path: Path, window: Rectangle, pixels: Pixels, white: int) -> NDArray[Any]:

@@ -105,6 +105,21 @@ def test_16_bit_rows_are_the_pixels(tmp_path: Path, kind: str, count: int) -> No
         assert open_photograph(path).channels == 3
 
 
+def test_what_a_reader_holds_of_the_whole_photograph_is_known(tmp_path: Path) -> None:
+    pixels = noise((2400, 2000, 3))
+    write_raster(tmp_path / "strips.tif", pixels, compress="lzw")
+    write_raster(tmp_path / "strip.tif", pixels, compress="lzw", blockysize=2400)
+    assert open_photograph(tmp_path / "strips.tif").held_bytes_per_pixel == 0
+    size = (tmp_path / "strip.tif").stat().st_size
+    held = open_photograph(tmp_path / "strip.tif").held_bytes_per_pixel
+    assert held == pytest.approx(size / (2400 * 2000), rel=1e-3)
+    write_raster(tmp_path / "plain.jpg", pixels)
+    write_raster(tmp_path / "progressive.jpg", pixels, PROGRESSIVE="YES")
+    assert open_photograph(tmp_path / "plain.jpg").held_bytes_per_pixel == 0
+    # Two bytes for each coefficient: of the luma, and of two chroma planes of a quarter each.
+    assert open_photograph(tmp_path / "progressive.jpg").held_bytes_per_pixel == 3
+
+
 @pytest.mark.parametrize("kind", ["float32", "int16", "uint32"])
 def test_other_samples_are_refused(tmp_path: Path, kind: str) -> None:
     write_raster(tmp_path / "a.tif", noise((20, 30, 1)).astype(kind))
