@@ -20,13 +20,15 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 if TYPE_CHECKING:
     from sirpy.area import read_area
     from sirpy.clustering import clusters
-    from sirpy.cutting import cut
+    from sirpy.cutting import PixelOptions, cut
     from sirpy.dense_stereo import StereoOptions, stereo
     from sirpy.errors import SirpyError
     from sirpy.exporting import export
     from sirpy.fusion import FusionOptions, fuse
     from sirpy.html_report import report
     from sirpy.layout import Region
+    from sirpy.lens import UndistortOptions
+    from sirpy.photographs import Encoding
     from sirpy.pipeline import reconstruct
     from sirpy.planning import plan
     from sirpy.recapturing import recapture
@@ -37,12 +39,15 @@ if TYPE_CHECKING:
     from sirpy.workspace import Workspace
 
 _HOME = {
+    "Encoding": "photographs",
     "FusionOptions": "fusion",
     "Grid": "rectangle",
+    "PixelOptions": "cutting",
     "Rectangle": "rectangle",
     "Region": "layout",
     "SirpyError": "errors",
     "StereoOptions": "dense_stereo",
+    "UndistortOptions": "lens",
     "Workspace": "workspace",
     "clusters": "clustering",
     "cut": "cutting",
@@ -61,12 +66,15 @@ _HOME = {
 }
 
 __all__ = [
+    "Encoding",
     "FusionOptions",
     "Grid",
+    "PixelOptions",
     "Rectangle",
     "Region",
     "SirpyError",
     "StereoOptions",
+    "UndistortOptions",
     "Workspace",
     "clusters",
     "cut",

@@ -1,4 +1,6 @@
 import os
+import subprocess
+import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -231,3 +233,26 @@ def test_a_full_disk_is_an_output_error(tmp_path: Path) -> None:
                 photograph, None, (300, 200), [(tmp_path / name, Rectangle(0, 0, 300, 200))]
             )
         assert not (tmp_path / name).exists()
+
+
+MEASURED = r"""
+import re, sys
+from pathlib import Path
+from sirpy.photographs import open_photograph, recapture_to_files
+from sirpy.rectangle import Rectangle
+photograph = open_photograph(Path(sys.argv[1]))
+size = photograph.width, photograph.height
+recapture_to_files(photograph, None, size, [(Path(sys.argv[2]), Rectangle(0, 0, *size))])
+print(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text()).group(1))
+"""
+
+
+@pytest.mark.parametrize("extension", ["jpg", "png", "tif"])
+def test_memory_does_not_grow_with_the_height(tmp_path: Path, extension: str) -> None:
+    peaks = []
+    for height in (3000, 30_000):
+        path = tmp_path / f"{height}.{extension}"
+        write_raster(path, np.broadcast_to(noise((height, 1, 3)), (height, 900, 3)))
+        command = [sys.executable, "-c", MEASURED, path, tmp_path / f"out.{extension}"]
+        peaks.append(1024 * int(subprocess.check_output(command)))
+    assert peaks[1] - peaks[0] < 8_000_000  # ten times as many pixels: 73 MB more of them
