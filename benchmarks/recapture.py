@@ -36,7 +36,7 @@ print(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read()).group(1))
 SIRPY = """
 import sys
 from sirpy import Grid, cut
-from sirpy.cutting import PixelOptions
+from sirpy.cut_tasks import PixelOptions
 from sirpy.photographs import Encoding
 work, output, columns, rows = sys.argv[1:]
 pixels = PixelOptions(encoding=Encoding({quality}, "{chroma}"))

@@ -20,7 +20,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 if TYPE_CHECKING:
     from sirpy.area import read_area
     from sirpy.clustering import clusters
-    from sirpy.cutting import PixelOptions, cut
+    from sirpy.cut_tasks import PixelOptions
+    from sirpy.cutting import cut
     from sirpy.dense_stereo import StereoOptions, stereo
     from sirpy.errors import SirpyError
     from sirpy.exporting import export
@@ -42,7 +43,7 @@ _HOME = {
     "Encoding": "photographs",
     "FusionOptions": "fusion",
     "Grid": "rectangle",
-    "PixelOptions": "cutting",
+    "PixelOptions": "cut_tasks",
     "Rectangle": "rectangle",
     "Region": "layout",
     "SirpyError": "errors",

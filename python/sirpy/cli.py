@@ -226,7 +226,7 @@ def cut(
     quiet: Quiet = False,
 ) -> None:
     """Recapture: undistorts the photographs and cuts them into sub-images with their own cameras."""
-    from sirpy.cutting import PixelOptions
+    from sirpy.cut_tasks import PixelOptions
     from sirpy.cutting import cut as run
     from sirpy.layout import read_region
     from sirpy.memory import parse_memory

@@ -3,33 +3,28 @@ models."""
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path, PurePosixPath
-from typing import Literal, get_args
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import pycolmap
 
 from sirpy import _core
-from sirpy.area import AreaFilter
+from sirpy.cut_tasks import (
+    CutInputs,
+    CutTask,
+    PixelOptions,
+    cut_tasks,
+    nothing_left,
+    of_natives,
+)
 from sirpy.errors import InputError
 from sirpy.files import file_identity, fingerprint
 from sirpy.layout import Layout, Region
-from sirpy.lens import Undistortion, UndistortOptions, undistorted_camera, undistortion
+from sirpy.lens import Undistortion, UndistortOptions, undistortion
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
 from sirpy.model_files import model_identity
-from sirpy.native_scene import native_scene
-from sirpy.photographs import (
-    Bands,
-    Encoding,
-    Interpolation,
-    Photograph,
-    check_folders,
-    check_names,
-    open_photograph,
-    recapture_to_files,
-    white_level,
-)
+from sirpy.native_scene import NativeScene, native_scene
+from sirpy.photographs import check_folders, recapture_to_files, white_level
 from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
@@ -37,63 +32,8 @@ from sirpy.sub_image_model import sub_image_model, undistorted_model
 from sirpy.sub_image_sets import of_one_size, with_points
 from sirpy.workspace import LeftOut, NativeImage, Workspace, check_writable
 
-Format = Literal["jpg", "png", "tif"]
-
 # To be raised when the same inputs and options begin to give other files.
 _VERSION = 2
-
-
-@dataclass(frozen=True)
-class PixelOptions:
-    """How pixels are read, resampled and written."""
-
-    bands: Bands = "color"
-    """"color": grey or RGB; "all": alpha and infrared too."""
-    interpolation: Interpolation = "bilinear"
-    """Between the pixels of a photograph; without lens distortion nothing is resampled."""
-    format: Format | None = None
-    """Of the sub-images; None keeps JPEG, and makes PNG of everything else, TIFF where PNG cannot
-    hold the bands. 16 bit stays 16 bit."""
-    encoding: Encoding = field(default_factory=Encoding)
-
-    def __post_init__(self) -> None:
-        for name, value, choices in (
-            ("bands", self.bands, get_args(Bands)),
-            ("interpolation", self.interpolation, get_args(Interpolation)),
-            ("format", self.format, (None, *get_args(Format))),
-        ):
-            if value not in choices:
-                known = ", ".join(str(choice) for choice in choices if choice)
-                raise InputError(f"{name} = {value!r} is not possible: it must be one of {known}")
-
-    def extension(self, photograph: Photograph) -> str:
-        """Of the sub-images of a photograph. Raises InputError where `format` cannot hold it."""
-        possible = {
-            "jpg": photograph.bits == 8 and photograph.channels in (1, 3),
-            "png": photograph.channels in (1, 3) or (photograph.channels <= 4 and photograph.alpha),
-            "tif": True,
-        }
-        if self.format is None:
-            if photograph.format == "JPEG":
-                return "jpg"
-            return "png" if possible["png"] else "tif"
-        if not possible[self.format]:
-            bits, channels = photograph.bits, photograph.channels
-            raise InputError(
-                f"{photograph.path} has {channels} channels of {bits} bits, which a {self.format} "
-                "cannot hold: choose tif, leave the format out, or convert it to 8-bit RGB"
-            )
-        return self.format
-
-
-@dataclass(frozen=True)
-class _Task:
-    """One photograph, its camera in the model, its mask, and how its undistorted image is cut."""
-
-    photograph: Photograph
-    camera: pycolmap.Camera
-    native: NativeImage
-    mask: Photograph | None
 
 
 def cut(
@@ -151,35 +91,22 @@ def cut(
         raise ValueError("a model that was read already needs an identity")
     if not isinstance(model, SparseModel):
         model = read_arrays(model)
-    seeing = None
-    if grid is None or region.area is not None:
+    inputs = CutInputs(images, None if masks is None else Path(masks), pixels)
+    layout = Layout(grid or Grid(1, 1), overlap, region)
+    scene = None
+    if grid is None or region.area is not None or min_points > 0:
         scene = native_scene(undistorted_model(model, undistort))
-        if region.area is not None:
-            seeing = AreaFilter(region.area, scene)
-        if grid is None:
-            grid = plan(scene, memory=memory, overlap=overlap, region=region, images=images).grid
-        del scene
-    inputs = _Inputs(images, None if masks is None else Path(masks), pixels)
-    layout = Layout(grid, overlap, region)
-    tasks, left_out = _check_inputs(inputs, model, layout, seeing, undistort)
-    del seeing
-    if region.area is not None:
-        count = sum(len(task.native.sub_images) for task in tasks)
-        progress.note(f"area: {len(tasks)} photographs see it, in {count} sub-images")
+    if scene is not None and grid is None:
+        found = plan(scene, memory=memory, overlap=overlap, region=region, images=images)
+        layout = replace(layout, grid=found.grid)
+    tasks, left_out = cut_tasks(inputs, model, layout, scene, undistort, progress)
     if same_size:
-        tasks = _of_natives(tasks, of_one_size([task.native for task in tasks], same_size))
-    if min_points:
-        scene = native_scene(undistorted_model(model, undistort))
-        kept, dropped = with_points([task.native for task in tasks], scene, min_points)
-        del scene
-        tasks = _of_natives(tasks, kept)
-        if dropped:
-            progress.note(
-                f"{len(dropped)} sub-images see fewer than {min_points} sparse points and are left "
-                f"out ({', '.join(dropped[:3])}{' ...' if len(dropped) > 3 else ''})"
-            )
+        tasks = of_natives(tasks, of_one_size([task.native for task in tasks], same_size))
+    if scene is not None and min_points > 0:
+        tasks = _with_points(tasks, scene, min_points, progress)
+    scene = None  # large, and not needed any more
     workspace = Workspace(output)
-    _check_apart(images, workspace)
+    _check_apart(inputs, workspace)
     check_writable(output)
     begun = workspace.begin_stage(
         "cut",
@@ -201,7 +128,7 @@ def cut(
     natives, damaged = _cut_photographs(tasks, workspace, pixels, undistort, progress)
     left_out = sorted(left_out + damaged, key=lambda out: out.name)
     if not natives:
-        raise _nothing_left(left_out)
+        raise nothing_left(left_out)
     native_model = undistorted_model(model, undistort, [native.name for native in natives])
     write_model(native_model, workspace.native_model)
     write_model(sub_image_model(native_model, natives), workspace.sparse)
@@ -209,137 +136,28 @@ def cut(
     return workspace
 
 
-@dataclass(frozen=True)
-class _Inputs:
-    """Where photographs and masks are, and how they are read."""
-
-    images: Path
-    masks: Path | None
-    pixels: PixelOptions
-
-    def __post_init__(self) -> None:
-        if not self.images.is_dir():
-            raise InputError(
-                f"there is no folder {self.images}: give the folder that holds the photographs"
-            )
-        if self.masks is not None and not self.masks.is_dir():
-            raise InputError(
-                f"there is no folder {self.masks}: give the folder that holds the masks"
-            )
-
-    def photograph(self, name: str, camera: pycolmap.Camera) -> Photograph:
-        """Raises InputError when it cannot be used with its camera."""
-        return self._of_size(open_photograph(self.images / name, self.pixels.bands), camera)
-
-    def mask(self, name: str, camera: pycolmap.Camera) -> Photograph | None:
-        """None where the photograph has no mask; raises InputError as `photograph`."""
-        if self.masks is None:
-            return None
-        # COLMAP appends .png to the name; of a PNG the mask may have the name itself.
-        candidates = [f"{name}.png", *([name] if name.lower().endswith(".png") else [])]
-        for candidate in candidates:
-            if (self.masks / candidate).exists():
-                return self._of_size(open_photograph(self.masks / candidate), camera)
-        return None
-
-    @staticmethod
-    def _of_size(photograph: Photograph, camera: pycolmap.Camera) -> Photograph:
-        if (photograph.width, photograph.height) != (camera.width, camera.height):
-            raise InputError(
-                f"{photograph.path} has {photograph.width}x{photograph.height} pixels, but its "
-                f"camera {camera.camera_id} in the model {camera.width}x{camera.height}: give the "
-                "photographs that the model was solved with, or solve it again"
-            )
-        return photograph
-
-
-def _of_natives(tasks: list[_Task], natives: list[NativeImage]) -> list[_Task]:
-    """The tasks of `natives`, cut as those say."""
-    by_name = {native.name: native for native in natives}
-    return [
-        replace(task, native=by_name[task.native.name])
-        for task in tasks
-        if task.native.name in by_name
-    ]
-
-
-def _check_inputs(
-    inputs: _Inputs,
-    model: SparseModel,
-    layout: Layout,
-    seeing: AreaFilter | None,
-    undistort: UndistortOptions,
-) -> tuple[list[_Task], list[LeftOut]]:
-    """What is to be done, in order of names, and the photographs that cannot be used.
-
-    `seeing` takes away the sub-images that do not see the area of the layout's region, if it has one.
-    """
-    posed = sorted(model.images, key=lambda image: image.name)
-    if not posed:
-        raise InputError("the model has no image with a pose: solve the cameras again")
-    names = [image.name for image in posed]
-    check_names(names)
-    layout.check_names(names)
-    stems = _stems(names)
-    targets = {
-        camera_id: undistorted_camera(model.cameras[camera_id], undistort)
-        for camera_id in sorted({image.camera_id for image in posed})
-    }
-    tasks, left_out = [], []
-    for image in posed:
-        camera, target = model.camera_of(image), targets[image.camera_id]
-        native = layout.native_image(image.name, (target.width, target.height))
-        if seeing is not None:
-            native = seeing(native)
-            if not native.sub_images:
-                continue
-        try:
-            photograph = inputs.photograph(image.name, camera)
-            mask = inputs.mask(image.name, camera)
-        except InputError as error:
-            left_out.append(LeftOut(image.name, str(error)))
-            continue
-        native = layout.named(native, stems[image.name], inputs.pixels.extension(photograph))
-        tasks.append(_Task(photograph, camera, replace(native, masked=mask is not None), mask))
-    if seeing is not None and not tasks and not left_out:
-        raise seeing.nothing_left()
-    if not tasks:
-        raise _nothing_left(left_out)
-    return tasks, left_out
-
-
-def _nothing_left(left_out: list[LeftOut]) -> InputError:
-    return InputError(
-        f"none of the {len(left_out)} photographs of the model can be used; the first one: "
-        f"{left_out[0].reason}"
-    )
-
-
-def _stems(names: list[str]) -> dict[str, str]:
-    """The start of the sub-images' names: without extension, unless two photographs differ in it
-    only."""
-    stems = {name: str(PurePosixPath(name).with_suffix("")) for name in names}
-    count = Counter(stems.values())
-    stems = {name: stem if count[stem] == 1 else name for name, stem in stems.items()}
-    first: dict[str, str] = {}
-    for name, stem in stems.items():
-        other = first.setdefault(stem, name)
-        if other != name:
-            raise InputError(
-                f"the sub-images of {other} and {name} would have the same names: rename one of "
-                "them"
-            )
-    return stems
-
-
-def _check_apart(images: Path, workspace: Workspace) -> None:
-    """Photographs must not lie where the sub-images go: those are removed when options change."""
-    source, target = images.resolve(), workspace.images.resolve()
-    if source.is_relative_to(target) or target == source:
-        raise InputError(
-            f"the photographs in {images} lie where the sub-images would be written: choose "
-            "another output folder"
+def _with_points(
+    tasks: list[CutTask], scene: NativeScene, min_points: int, progress: Progress
+) -> list[CutTask]:
+    """Without the sub-images that see fewer sparse points, which are reported."""
+    kept, dropped = with_points([task.native for task in tasks], scene, min_points)
+    if dropped:
+        progress.note(
+            f"{len(dropped)} sub-images see fewer than {min_points} sparse points and are left "
+            f"out ({', '.join(dropped[:3])}{' ...' if len(dropped) > 3 else ''})"
         )
+    return of_natives(tasks, kept)
+
+
+def _check_apart(inputs: CutInputs, workspace: Workspace) -> None:
+    """What is read must not lie where sub-images go: those are removed when options change."""
+    for source in (inputs.images, inputs.masks):
+        for target in (workspace.images, workspace.masks):
+            if source is not None and source.resolve().is_relative_to(target.resolve()):
+                raise InputError(
+                    f"{source} lies where sub-images or their masks would be written: choose "
+                    "another output folder"
+                )
 
 
 def _is_complete(workspace: Workspace) -> bool:
@@ -351,7 +169,7 @@ def _is_complete(workspace: Workspace) -> bool:
 
 
 def _cut_photographs(
-    tasks: list[_Task],
+    tasks: list[CutTask],
     workspace: Workspace,
     pixels: PixelOptions,
     undistort: UndistortOptions,
@@ -385,7 +203,7 @@ def _paths(native: NativeImage, workspace: Workspace) -> list[Path]:
 
 
 def _cut_photograph(
-    task: _Task,
+    task: CutTask,
     workspace: Workspace,
     pixels: PixelOptions,
     lens: _core.LensMap | None,

@@ -48,7 +48,8 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
     if options.num_threads > 0:
         os.environ["OMP_NUM_THREADS"] = str(options.num_threads)  # read when the core is loaded
     from sirpy.clustering import clusters
-    from sirpy.cutting import PixelOptions, cut
+    from sirpy.cut_tasks import PixelOptions
+    from sirpy.cutting import cut
     from sirpy.exporting import export
     from sirpy.files import fingerprint
     from sirpy.layout import read_region

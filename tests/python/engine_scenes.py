@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
-from sirpy.cutting import PixelOptions, cut
+from sirpy.cut_tasks import PixelOptions
+from sirpy.cutting import cut
 from sirpy.native_scene import NativeCamera, NativeScene, Observations, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sirpy.area import Area
-from sirpy.cutting import PixelOptions, cut
+from sirpy.cut_tasks import PixelOptions
+from sirpy.cutting import cut
 from sirpy.errors import InputError, OutputError
 from sirpy.layout import Region
 from sirpy.lens import UndistortOptions, moved_between, undistorted_camera
@@ -433,7 +434,8 @@ SCRIPT_THAT_DIES = """
 import os, signal, sys
 from pathlib import Path
 import pycolmap
-from sirpy.cutting import PixelOptions, cut
+from sirpy.cut_tasks import PixelOptions
+from sirpy.cutting import cut
 from sirpy.progress import Progress, Steps
 from sirpy.rectangle import Grid
 

@@ -18,7 +18,7 @@ LAYERS = """
     model_files model_arrays self_calibration structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
     view_selection area layout planning sub_image_sets
-    cutting windows
+    cut_tasks cutting windows
     clustering
     engine_views
     cmp_mvs mvsnet pmvs colmap_workspace

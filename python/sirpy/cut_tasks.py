@@ -1,0 +1,216 @@
+"""What is to be cut: each photograph of a model with its camera and mask, and the sub-images that it gives."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import Literal, get_args
+
+import pycolmap
+
+from sirpy.area import AreaFilter
+from sirpy.errors import InputError
+from sirpy.layout import Layout
+from sirpy.lens import UndistortOptions, undistorted_camera
+from sirpy.model_arrays import SparseModel
+from sirpy.native_scene import NativeScene
+from sirpy.photographs import (
+    Bands,
+    Encoding,
+    Interpolation,
+    Photograph,
+    check_names,
+    open_photograph,
+)
+from sirpy.progress import Progress
+from sirpy.workspace import LeftOut, NativeImage
+
+Format = Literal["jpg", "png", "tif"]
+
+
+@dataclass(frozen=True)
+class PixelOptions:
+    """How pixels are read, resampled and written."""
+
+    bands: Bands = "color"
+    """"color": grey or RGB; "all": alpha and infrared too."""
+    interpolation: Interpolation = "bilinear"
+    """Between the pixels of a photograph; without lens distortion nothing is resampled."""
+    format: Format | None = None
+    """Of the sub-images; None keeps JPEG, and makes PNG of everything else, TIFF where PNG cannot
+    hold the bands. 16 bit stays 16 bit."""
+    encoding: Encoding = field(default_factory=Encoding)
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("bands", self.bands, get_args(Bands)),
+            ("interpolation", self.interpolation, get_args(Interpolation)),
+            ("format", self.format, (None, *get_args(Format))),
+        ):
+            if value not in choices:
+                known = ", ".join(str(choice) for choice in choices if choice)
+                raise InputError(f"{name} = {value!r} is not possible: it must be one of {known}")
+
+    def extension(self, photograph: Photograph) -> str:
+        """Of the sub-images of a photograph. Raises InputError where `format` cannot hold it."""
+        possible = {
+            "jpg": photograph.bits == 8 and photograph.channels in (1, 3),
+            "png": photograph.channels in (1, 3) or (photograph.channels <= 4 and photograph.alpha),
+            "tif": True,
+        }
+        if self.format is None:
+            if photograph.format == "JPEG":
+                return "jpg"
+            return "png" if possible["png"] else "tif"
+        if not possible[self.format]:
+            bits, channels = photograph.bits, photograph.channels
+            raise InputError(
+                f"{photograph.path} has {channels} channels of {bits} bits, which a {self.format} "
+                "cannot hold: choose tif, leave the format out, or convert it to 8-bit RGB"
+            )
+        return self.format
+
+
+@dataclass(frozen=True)
+class CutTask:
+    """One photograph, its camera in the model, its mask, and how its undistorted image is cut."""
+
+    photograph: Photograph
+    camera: pycolmap.Camera
+    native: NativeImage
+    mask: Photograph | None
+
+
+@dataclass(frozen=True)
+class CutInputs:
+    """Where photographs and masks are, and how they are read."""
+
+    images: Path
+    masks: Path | None
+    pixels: PixelOptions
+
+    def __post_init__(self) -> None:
+        if not self.images.is_dir():
+            raise InputError(
+                f"there is no folder {self.images}: give the folder that holds the photographs"
+            )
+        if self.masks is not None and not self.masks.is_dir():
+            raise InputError(
+                f"there is no folder {self.masks}: give the folder that holds the masks"
+            )
+
+    def photograph(self, name: str, camera: pycolmap.Camera) -> Photograph:
+        """Raises InputError when it cannot be used with its camera."""
+        return self._of_size(open_photograph(self.images / name, self.pixels.bands), camera)
+
+    def mask(self, name: str, camera: pycolmap.Camera) -> Photograph | None:
+        """None where the photograph has no mask; raises InputError as `photograph`."""
+        if self.masks is None:
+            return None
+        # COLMAP appends .png to the name; of a PNG the mask may have the name itself.
+        candidates = [f"{name}.png", *([name] if name.lower().endswith(".png") else [])]
+        for candidate in candidates:
+            if (self.masks / candidate).exists():
+                return self._of_size(open_photograph(self.masks / candidate), camera)
+        return None
+
+    @staticmethod
+    def _of_size(photograph: Photograph, camera: pycolmap.Camera) -> Photograph:
+        if (photograph.width, photograph.height) != (camera.width, camera.height):
+            raise InputError(
+                f"{photograph.path} has {photograph.width}x{photograph.height} pixels, but its "
+                f"camera {camera.camera_id} in the model {camera.width}x{camera.height}: give the "
+                "photographs that the model was solved with, or solve it again"
+            )
+        return photograph
+
+
+def cut_tasks(
+    inputs: CutInputs,
+    model: SparseModel,
+    layout: Layout,
+    scene: NativeScene | None,
+    undistort: UndistortOptions,
+    progress: Progress,
+) -> tuple[list[CutTask], list[LeftOut]]:
+    """What is to be done, in order of names, and the photographs that cannot be used.
+
+    Where the region of the layout has an area, only sub-images that see it in `scene`.
+
+    Raises:
+        InputError: no photograph can be used or sees the area, a name is unsafe or given twice, or the
+            layout does not fit an image.
+    """
+    area = layout.region.area
+    seeing = AreaFilter(area, scene) if area is not None and scene is not None else None
+    posed = sorted(model.images, key=lambda image: image.name)
+    if not posed:
+        raise InputError("the model has no image with a pose: solve the cameras again")
+    names = [image.name for image in posed]
+    check_names(names)
+    layout.check_names(names)
+    stems = _stems(names)
+    targets = {
+        camera_id: undistorted_camera(model.cameras[camera_id], undistort)
+        for camera_id in sorted({image.camera_id for image in posed})
+    }
+    tasks, left_out = [], []
+    for image in posed:
+        camera, target = model.camera_of(image), targets[image.camera_id]
+        native = layout.native_image(image.name, (target.width, target.height))
+        if seeing is not None:
+            native = seeing(native)
+            if not native.sub_images:
+                continue
+        try:
+            photograph = inputs.photograph(image.name, camera)
+            mask = inputs.mask(image.name, camera)
+        except InputError as error:
+            left_out.append(LeftOut(image.name, str(error)))
+            continue
+        native = layout.named(native, stems[image.name], inputs.pixels.extension(photograph))
+        tasks.append(CutTask(photograph, camera, replace(native, masked=mask is not None), mask))
+    if seeing is not None and not tasks and not left_out:
+        raise seeing.nothing_left()
+    if not tasks:
+        raise nothing_left(left_out)
+    if seeing is not None:
+        count = sum(len(task.native.sub_images) for task in tasks)
+        progress.note(f"area: {len(tasks)} photographs see it, in {count} sub-images")
+    return tasks, left_out
+
+
+def of_natives(tasks: list[CutTask], natives: list[NativeImage]) -> list[CutTask]:
+    """The tasks of `natives`, cut as those say."""
+    by_name = {native.name: native for native in natives}
+    return [
+        replace(task, native=by_name[task.native.name])
+        for task in tasks
+        if task.native.name in by_name
+    ]
+
+
+def nothing_left(left_out: list[LeftOut]) -> InputError:
+    """What to say when no photograph at all can be used."""
+    return InputError(
+        f"none of the {len(left_out)} photographs of the model can be used; the first one: "
+        f"{left_out[0].reason}"
+    )
+
+
+def _stems(names: list[str]) -> dict[str, str]:
+    """The start of the sub-images' names: without extension, unless two photographs differ in it
+    only."""
+    stems = {name: str(PurePosixPath(name).with_suffix("")) for name in names}
+    count = Counter(stems.values())
+    stems = {name: stem if count[stem] == 1 else name for name, stem in stems.items()}
+    first: dict[str, str] = {}
+    for name, stem in stems.items():
+        other = first.setdefault(stem, name)
+        if other != name:
+            raise InputError(
+                f"the sub-images of {other} and {name} would have the same names: rename one of "
+                "them"
+            )
+    return stems
