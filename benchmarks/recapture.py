@@ -1,12 +1,13 @@
-"""What recapture costs beside COLMAP's undistortion, on one photograph: one JSON line.
+"""What recapture costs beside COLMAP's undistortion: one JSON line.
 
-    python benchmarks/recapture.py WORK [--width 13470 --height 8670] [--grid 5x5] [--limits build/cpp/limits]
-        [--without_pycolmap]
+    python benchmarks/recapture.py WORK [--width 13470 --height 8670] [--photographs 2] [--grid 5x5]
+        [--limits build/cpp/limits] [--without_pycolmap]
 
-A photograph with an OPENCV lens is made in WORK (kept for the next time), JPEG of quality 95 with 4:2:0
-chroma, which is what pycolmap writes. Both sides write that again, each as a process of its own, whose CPU
-time and peak resident memory the kernel reports: sirpy the sub-images of the grid, pycolmap one image.
-`--limits` names the program of limits.cc (`cmake -DSIRPY_BENCHMARKS=ON`).
+Photographs with an OPENCV lens are made in WORK (kept for the next time), JPEG of quality 95 with 4:2:0
+chroma, which is what pycolmap writes. Both sides write that again, each as a process of its own, from the
+start of Python to its end; the kernel reports CPU time and peak resident memory. sirpy writes the sub-images of
+the grid, pycolmap one image for each photograph, which it works on in parallel. `--limits` names the program
+of limits.cc (`cmake -DSIRPY_BENCHMARKS=ON`); its CPU seconds are for one photograph.
 """
 
 from __future__ import annotations
@@ -55,19 +56,21 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("--width", type=int, default=13470)
     parser.add_argument("--height", type=int, default=8670)
+    parser.add_argument("--photographs", type=int, default=2)
     parser.add_argument("--grid", default="5x5")
     parser.add_argument("--limits", type=Path)
     parser.add_argument("--without_pycolmap", action="store_true")
     arguments = parser.parse_args()
-    work = arguments.work / f"{arguments.width}x{arguments.height}"
+    count, width, height = arguments.photographs, arguments.width, arguments.height
+    work = arguments.work / f"{count}x{width}x{height}"
     if not (work / "sparse").exists():
-        _make(work, arguments.width, arguments.height)
-    megapixels = arguments.width * arguments.height / 1e6
-    found: dict[str, Any] = {"megapixels": round(megapixels, 1), "grid": arguments.grid}
+        _make(work, count, width, height)
+    found: dict[str, Any] = {"photographs": count, "grid": arguments.grid}
+    found["megapixels_each"] = round(width * height / 1e6, 1)
     found["sirpy"] = _measure(SIRPY, work, *arguments.grid.split("x"))
     if arguments.limits:
-        command = [arguments.limits, work / "photos" / "a.jpg", work, str(QUALITY), CHROMA]
-        found["limits_cpu_s"] = json.loads(subprocess.check_output(command, text=True))
+        command = [arguments.limits, work / "photos" / "0.jpg", work, str(QUALITY), CHROMA]
+        found["limits_cpu_s_each"] = json.loads(subprocess.check_output(command, text=True))
     if not arguments.without_pycolmap:
         found["pycolmap"] = _measure(PYCOLMAP, work)
         for cost in ("cpu_s", "wall_s", "peak_mb"):
@@ -97,8 +100,8 @@ def _measure(program: str, work: Path, *arguments: str) -> dict[str, float]:
     }
 
 
-def _make(work: Path, width: int, height: int) -> None:
-    """A photograph of structure at all scales with some grain, and a model of it and a second pose."""
+def _make(work: Path, count: int, width: int, height: int) -> None:
+    """Photographs of structure at all scales with some grain, and a model of them."""
     focal = 1.1 * width
     lens = [focal, focal, width / 2 + 10, height / 2 - 7, -0.05, 0.01, 1e-4, -1e-4]
     camera = pycolmap.Camera(model="OPENCV", width=width, height=height, params=lens, camera_id=1)
@@ -108,7 +111,7 @@ def _make(work: Path, width: int, height: int) -> None:
         lens=None,
         interpolation="nearest",
         size=(width, height),
-        files=[(work / "photos" / "a.jpg", 0, 0, width, height)],
+        files=[(work / "photos" / "0.jpg", 0, 0, width, height)],
         jpeg_quality=QUALITY,
         jpeg_chroma=CHROMA,
         last_is_alpha=False,
@@ -121,13 +124,20 @@ def _make(work: Path, width: int, height: int) -> None:
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(camera)
     points = np.random.default_rng(0).uniform([-0.4, -0.25, 1], [0.4, 0.25, 1.1], (500, 3))
-    pixels = camera.img_from_cam(points)
-    image = pycolmap.Image(name="a.jpg", keypoints=pixels, camera_id=1, image_id=1)
-    model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
-    for index, xyz in enumerate(points):
-        track = pycolmap.Track()
-        track.add_element(1, index)
-        model.add_point3D_with_id(index + 1, pycolmap.Point3D(xyz=xyz, track=track))
+    tracks = [pycolmap.Track() for _ in points]
+    for number in range(count):
+        if number > 0:
+            os.link(work / "photos" / "0.jpg", work / "photos" / f"{number}.jpg")
+        moved = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([0.01 * number, 0, 0]))
+        pixels = camera.img_from_cam(points + moved.translation)
+        image = pycolmap.Image(
+            name=f"{number}.jpg", keypoints=pixels, camera_id=1, image_id=number + 1
+        )
+        model.add_image_with_trivial_frame(image, moved)
+        for index, track in enumerate(tracks):
+            track.add_element(number + 1, index)
+    for index, (xyz, track) in enumerate(zip(points, tracks, strict=True), 1):
+        model.add_point3D_with_id(index, pycolmap.Point3D(xyz=xyz, track=track))
     (work / "sparse").mkdir()
     model.write_binary(work / "sparse")
 

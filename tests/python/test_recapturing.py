@@ -60,6 +60,26 @@ def test_any_rectangle_is_a_part_of_the_whole(
     np.testing.assert_allclose(made.camera.img_from_cam(rays), moved, atol=1e-9)
 
 
+@given(data=st.data(), width=st.integers(1, 40), height=st.integers(1, 40))
+@settings(max_examples=60, deadline=None)
+def test_photographs_of_any_size(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, width: int, height: int
+) -> None:
+    path = tmp_path_factory.mktemp("size") / f"a.{data.draw(st.sampled_from(['png', 'tif']))}"
+    pixels = noise((height, width, 2 * data.draw(st.sampled_from([1, 3])))).view(np.uint16)
+    write_raster(path, pixels)
+    whole = Rectangle(0, 0, width, height)
+    # The principal point may lie far outside the photograph.
+    far = [data.draw(st.floats(-500, 500)), data.draw(st.floats(-500, 500))]
+    lens = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[900, 900, *far])
+    x0, y0 = data.draw(st.integers(0, width - 1)), data.draw(st.integers(0, height - 1))
+    x1, y1 = data.draw(st.integers(x0 + 1, width)), data.draw(st.integers(y0 + 1, height))
+    part = Rectangle.from_corners(x0, y0, x1, y1)
+    made = recapture(path, lens, part, undistort=UndistortOptions())
+    np.testing.assert_array_equal(made.pixels, pixels[part.slices_in(whole)])
+    assert made.camera.params[2:].tolist() == [far[0] - x0, far[1] - y0]
+
+
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_recapture_camera_keeps_the_lens(lens: str) -> None:
     # Far outside too: the principal point is then at (-1e5, 1e5) of the sub-image.

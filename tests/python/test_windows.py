@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from sirpy import windows
 from sirpy.cutting import cut
 from sirpy.errors import InputError
+from sirpy.layout import Region
 from sirpy.rectangle import Grid, Rectangle
 from sirpy.windows import read_map, read_map_window, read_window, write_map
 from sirpy.workspace import Workspace
@@ -127,3 +129,59 @@ def test_a_map_of_another_size_is_refused(workspace: Workspace) -> None:
     write_map(workspace.depth_map(sub, "photometric"), np.ones((4, 5), np.float32))
     with pytest.raises(InputError, match="delete it and run the stereo again"):
         read_map_window(workspace, native, sub.core, "depth", "photometric")
+
+
+def test_pixels_that_no_sub_image_holds_are_0(tmp_path: Path, pixels: np.ndarray) -> None:
+    write_image(tmp_path / "photos" / "a.png", pixels)
+    model = model_of(["a.png"], [camera("PINHOLE")])
+    roi = Rectangle(20, 10, 50, 40)
+    workspace = cut(
+        tmp_path / "photos",
+        model,
+        tmp_path / "out",
+        identity="",
+        grid=Grid(3, 2),
+        region=Region(roi=roi),
+    )
+    whole = Rectangle(0, 0, WIDTH, HEIGHT)
+    expected = np.zeros_like(pixels)
+    expected[roi.slices_in(whole)] = pixels[roi.slices_in(whole)]
+    for kind in ("color", "all"):
+        np.testing.assert_array_equal(read_window(workspace, "a.png", whole, kind), expected)
+    assert not read_window(workspace, "a.png", Rectangle(0, 0, 5, 5)).any()
+    with pytest.raises(InputError, match=r"has no photograph b\.png"):
+        read_window(workspace, "b.png", whole)
+
+
+def test_the_cache_is_bounded_and_sees_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: list[Path] = []
+
+    def read_file(path: Path, window: Rectangle, kind: str, white: int) -> np.ndarray:
+        reads.append(path)
+        value = int(path.read_text())
+        return np.full((window.height, window.width), value, np.uint8)
+
+    monkeypatch.setattr(windows, "_read_file", read_file)
+    cache = windows._ImageCache(4000)
+    paths = [tmp_path / str(i) for i in range(8)]
+    for i, path in enumerate(paths):
+        path.write_text(str(i))
+
+    def value(i: int, side: int = 30) -> int:
+        part = (slice(1, 3), slice(2, 5))
+        seen = cache.read(paths[i], Rectangle(0, 0, side, side), part, "grey", 255)
+        assert seen.shape == (2, 3)
+        return int(seen[0, 0])
+
+    assert [value(i % 4) for i in range(12)] == [0, 1, 2, 3] * 3
+    assert len(reads) == 4  # 4 of 900 bytes fit
+    assert [value(i) for i in range(8)] == list(range(8))
+    assert len(reads) == 8
+    assert value(0) == 0 and len(reads) == 9  # the oldest had to go
+    paths[0].write_text("77")
+    assert value(0) == 77
+    paths[7].write_text("70")
+    assert value(7, side=40) == 70 and value(7, side=40) == 70
+    assert len(reads) == 12  # more than a quarter of the bound is never kept
