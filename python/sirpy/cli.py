@@ -70,6 +70,9 @@ ModelCrs = Annotated[
     str | None,
     typer.Option(help="CRS of the model; without it --area has the model's coordinates."),
 ]
+Masks = Annotated[
+    Path | None, typer.Option(help="Folder of masks NAME.png, black where not to be used.")
+]
 NumSources = Annotated[int, typer.Option(help="Photographs that each is matched against, at most.")]
 Threads = Annotated[int, typer.Option(help="0: one for each core.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only results and errors.")]
@@ -92,6 +95,7 @@ def reconstruct(
     area: Area = None,
     area_crs: AreaCrs = None,
     model_crs: ModelCrs = None,
+    masks: Masks = None,
     num_sources: NumSources = 8,
     threads: Threads = 0,
     quiet: Quiet = False,
@@ -109,6 +113,7 @@ def reconstruct(
         memory=parse_memory(memory),
         grid=_grid(columns, rows, column_cuts, row_cuts),
         region=read_region(roi, roi_list, area, area_crs, model_crs),
+        masks=masks,
         num_sources=num_sources,
         threads=threads,
         progress=make_progress(quiet),
@@ -211,9 +216,7 @@ def cut(
     min_points: Annotated[
         int, typer.Option(help="Leave out sub-images that see fewer sparse points.")
     ] = 0,
-    masks: Annotated[
-        Path | None, typer.Option(help="Folder of masks NAME.png, black where not to be used.")
-    ] = None,
+    masks: Masks = None,
     bands: Annotated[str, typer.Option(help="color; all keeps alpha and infrared.")] = "color",
     interpolation: Annotated[
         str, typer.Option(help="nearest, bilinear (as COLMAP), bicubic or lanczos.")

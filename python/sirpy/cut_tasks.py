@@ -20,6 +20,7 @@ from sirpy.photographs import (
     Encoding,
     Interpolation,
     Photograph,
+    check_masks,
     check_names,
     open_photograph,
 )
@@ -95,10 +96,7 @@ class CutInputs:
             raise InputError(
                 f"there is no folder {self.images}: give the folder that holds the photographs"
             )
-        if self.masks is not None and not self.masks.is_dir():
-            raise InputError(
-                f"there is no folder {self.masks}: give the folder that holds the masks"
-            )
+        check_masks(self.masks)
 
     def photograph(self, name: str, camera: pycolmap.Camera) -> Photograph:
         """Raises InputError when it cannot be used with its camera."""

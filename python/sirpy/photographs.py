@@ -125,6 +125,12 @@ def check_folders(images: Path, output: Path) -> None:
         )
 
 
+def check_masks(masks: Path | str | None) -> None:
+    """Raises InputError where masks are asked for and there is no such folder."""
+    if masks is not None and not Path(masks).is_dir():
+        raise InputError(f"there is no folder {masks}: give the folder that holds the masks")
+
+
 def check_names(names: Iterable[str]) -> None:
     """Raises InputError unless every name of a model stays inside the folder it is relative to."""
     for name in names:

@@ -18,7 +18,7 @@ from sirpy.layout import Region
 from sirpy.model_arrays import read_arrays
 from sirpy.model_files import model_identity
 from sirpy.native_scene import native_scene
-from sirpy.photographs import check_folders, find_photographs
+from sirpy.photographs import check_folders, check_masks, find_photographs
 from sirpy.planning import Plan, plan
 from sirpy.progress import LoggedProgress, Progress
 from sirpy.rectangle import Grid
@@ -50,6 +50,7 @@ def reconstruct(
     memory: int = DEFAULT_MEMORY,
     grid: Grid | None = None,
     region: Region = Region(),
+    masks: Path | str | None = None,
     num_sources: int = 8,
     stereo_options: StereoOptions | None = None,
     fusion_options: FusionOptions | None = None,
@@ -67,6 +68,7 @@ def reconstruct(
         memory: bytes that the whole process tree may take.
         grid: of sub-images; chosen for `memory` if None.
         region: what of the photographs is used; all of it by default.
+        masks: folder of masks NAME.png, black where a photograph is to give no points.
         num_sources: photographs that each is matched against, at most.
         threads: 0 for one on each core.
 
@@ -81,6 +83,7 @@ def reconstruct(
     check_num_sources(num_sources)
     names = find_photographs(images)
     check_folders(images, output)
+    check_masks(masks)
     check_writable(output)
     workspace = Workspace(output)
     progress = LoggedProgress(progress or Progress(), workspace.log)
@@ -112,6 +115,7 @@ def reconstruct(
             identity=model_identity(model),
             grid=chosen.grid,
             region=region,
+            masks=masks,
             progress=progress,
         )
     del solved
