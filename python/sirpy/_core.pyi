@@ -43,9 +43,11 @@ class Recapture:
         jpeg_chroma: Literal["444", "422", "420"],
         last_is_alpha: bool,
         in_memory: bool,
+        white: int,
     ) -> None:
         """photograph: (width, height, channels, bytes of a sample); size: (width, height) of the
-        image that is cut; in_memory: the only file is not written."""
+        image that is cut; in_memory: the only file is not written; white: of 16 bits, written as 8 bit
+        so that it is 255, or 0 for as they are."""
 
     @property
     def first_row(self) -> int:

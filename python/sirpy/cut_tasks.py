@@ -20,6 +20,7 @@ from sirpy.photographs import (
     Encoding,
     Interpolation,
     Photograph,
+    check_choice,
     check_masks,
     check_names,
     open_photograph,
@@ -40,23 +41,19 @@ class PixelOptions:
     """Between the pixels of a photograph; without lens distortion nothing is resampled."""
     format: Format | None = None
     """Of the sub-images; None keeps JPEG, and makes PNG of everything else, TIFF where PNG cannot
-    hold the bands. 16 bit stays 16 bit."""
+    hold the bands. 16 bit stays 16 bit, but in a JPEG, where the photograph's white becomes 255."""
     encoding: Encoding = field(default_factory=Encoding)
 
     def __post_init__(self) -> None:
-        for name, value, choices in (
-            ("bands", self.bands, get_args(Bands)),
-            ("interpolation", self.interpolation, get_args(Interpolation)),
-            ("format", self.format, (None, *get_args(Format))),
-        ):
-            if value not in choices:
-                known = ", ".join(str(choice) for choice in choices if choice)
-                raise InputError(f"{name} = {value!r} is not possible: it must be one of {known}")
+        check_choice("bands", self.bands, get_args(Bands))
+        check_choice("interpolation", self.interpolation, get_args(Interpolation))
+        if self.format is not None:
+            check_choice("format", self.format, get_args(Format))
 
     def extension(self, photograph: Photograph) -> str:
         """Of the sub-images of a photograph. Raises InputError where `format` cannot hold it."""
         possible = {
-            "jpg": photograph.bits == 8 and photograph.channels in (1, 3),
+            "jpg": photograph.channels in (1, 3),
             "png": photograph.channels in (1, 3) or (photograph.channels <= 4 and photograph.alpha),
             "tif": True,
         }
@@ -65,10 +62,9 @@ class PixelOptions:
                 return "jpg"
             return "png" if possible["png"] else "tif"
         if not possible[self.format]:
-            bits, channels = photograph.bits, photograph.channels
             raise InputError(
-                f"{photograph.path} has {channels} channels of {bits} bits, which a {self.format} "
-                "cannot hold: choose tif, leave the format out, or convert it to 8-bit RGB"
+                f"{photograph.path} has {photograph.channels} channels, which a {self.format} cannot "
+                "hold: choose tif, or leave --bands all out"
             )
         return self.format
 
@@ -173,10 +169,29 @@ def cut_tasks(
         raise seeing.nothing_left()
     if not tasks:
         raise nothing_left(left_out)
+    if inputs.masks is not None:
+        _report_masks(tasks, inputs.masks, progress)
     if seeing is not None:
         count = sum(len(task.native.sub_images) for task in tasks)
         progress.note(f"area: {len(tasks)} photographs see it, in {count} sub-images")
     return tasks, left_out
+
+
+def _report_masks(tasks: list[CutTask], masks: Path, progress: Progress) -> None:
+    """Raises InputError where no photograph has a mask; a misspelt name would go unseen."""
+    without = [task.native.name for task in tasks if task.mask is None]
+    if len(without) == len(tasks):
+        raise InputError(
+            f"none of the photographs has a mask in {masks}: name them like {without[0]}.png"
+        )
+    if without:
+        progress.note(
+            f"{len(without)} of {len(tasks)} photographs have no mask in {masks}: {', '.join(without[:3])}"
+            f"{' ...' if len(without) > 3 else ''}"
+        )
+    for task in tasks:
+        if task.mask is not None and task.mask.note:
+            progress.note(f"mask {task.mask.note}")
 
 
 def of_natives(tasks: list[CutTask], natives: list[NativeImage]) -> list[CutTask]:

@@ -22,7 +22,7 @@ from sirpy.files import file_identity, fingerprint
 from sirpy.layout import Layout, Region
 from sirpy.lens import Undistortion, UndistortOptions, undistortion
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
-from sirpy.model_files import model_identity
+from sirpy.model_files import find_model, model_identity
 from sirpy.native_scene import NativeScene, native_scene
 from sirpy.photographs import check_folders, recapture_to_files, white_level
 from sirpy.planning import plan
@@ -85,12 +85,15 @@ def cut(
     if min_points < 0:
         raise InputError(f"min_points = {min_points} is not possible: it must be at least 0")
     check_folders(images, output)
-    if isinstance(model, (str, Path)):
-        identity = model_identity(Path(model))
+    model_folder = find_model(Path(model)) if isinstance(model, (str, Path)) else None
+    if model_folder is not None:
+        identity = model_identity(model_folder)
     elif identity is None:
         raise ValueError("a model that was read already needs an identity")
     if not isinstance(model, SparseModel):
         model = read_arrays(model)
+    workspace = Workspace(output)
+    workspace.check_apart("cut", images, model_folder, None if masks is None else Path(masks))
     inputs = CutInputs(images, None if masks is None else Path(masks), pixels)
     layout = Layout(grid or Grid(1, 1), overlap, region)
     scene = None
@@ -105,8 +108,6 @@ def cut(
     if scene is not None and min_points > 0:
         tasks = _with_points(tasks, scene, min_points, progress)
     scene = None  # large, and not needed any more
-    workspace = Workspace(output)
-    _check_apart(inputs, workspace)
     check_writable(output)
     begun = workspace.begin_stage(
         "cut",
@@ -149,21 +150,11 @@ def _with_points(
     return of_natives(tasks, kept)
 
 
-def _check_apart(inputs: CutInputs, workspace: Workspace) -> None:
-    """What is read must not lie where sub-images go: those are removed when options change."""
-    for source in (inputs.images, inputs.masks):
-        for target in (workspace.images, workspace.masks):
-            if source is not None and source.resolve().is_relative_to(target.resolve()):
-                raise InputError(
-                    f"{source} lies where sub-images or their masks would be written: choose "
-                    "another output folder"
-                )
-
-
 def _is_complete(workspace: Workspace) -> bool:
     """The index is written last, so it says that everything was whole; has anyone removed a file
     since?"""
-    if not workspace.index.exists():
+    models = (workspace.index, workspace.native_model, workspace.sparse)
+    if not all(path.exists() for path in models):
         return False
     return all(path.exists() for one in workspace.natives for path in _paths(one, workspace))
 
@@ -186,7 +177,7 @@ def _cut_photographs(
                     if lens is None or lens[0] != task.camera.camera_id:
                         lens = task.camera.camera_id, undistortion(task.camera, undistort)
                     _cut_photograph(task, workspace, pixels, lens[1].lens, progress)
-                natives.append(replace(task.native, white=white_level(task.photograph)))
+                natives.append(_with_white(task))
             except InputError as error:
                 for path in _paths(task.native, workspace):
                     path.unlink(missing_ok=True)
@@ -194,6 +185,12 @@ def _cut_photographs(
                 progress.note(f"{task.native.name} is left out: {error}")
             steps.advance()
     return natives, damaged
+
+
+def _with_white(task: CutTask) -> NativeImage:
+    """Its native image; where 16 bits are kept, with their white."""
+    deep = not task.native.sub_images[0].name.endswith(".jpg")
+    return replace(task.native, white=white_level(task.photograph) if deep else 255)
 
 
 def _paths(native: NativeImage, workspace: Workspace) -> list[Path]:
@@ -220,6 +217,7 @@ def _cut_photograph(
         [(workspace.image(sub), sub.stored) for sub in native.sub_images],
         interpolation=pixels.interpolation,
         encoding=pixels.encoding,
+        white=white_level(task.photograph) if native.sub_images[0].name.endswith(".jpg") else 0,
     )
     if task.mask is not None:
         masks = [(workspace.mask(sub), sub.stored) for sub in native.sub_images]

@@ -68,9 +68,13 @@ class Layout:
                 f"the region {_written(roi)} reaches outside the undistorted image of {name}, which has "
                 f"{size[0]}x{size[1]} pixels: give X0,Y0,WIDTH,HEIGHT inside it"
             )
+        try:
+            tiles = list(self.grid.tiles(roi))
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
         sub_images = tuple(
             SubImage("", row, column, core, core.padded(self.overlap).intersection(roi))
-            for row, column, core in self.grid.tiles(roi)
+            for row, column, core in tiles
         )
         return NativeImage(name, *size, sub_images)
 

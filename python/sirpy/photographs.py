@@ -13,9 +13,9 @@ import warnings
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +30,21 @@ _PNG = b"\x89PNG"
 _CACHE = 64  # of GDAL's blocks, MB; its default is a share of the machine's memory
 _BAND_ROWS = 64
 _BAND_COLUMNS = 4096
-_LARGE_BLOCK = 4_000_000  # bytes, compressed
+_LARGEST_BLOCK = 64_000_000  # bytes, decoded, whatever the file's size
+_LARGEST_RATIO = 2000  # of decoded bytes to stored ones; Deflate reaches 1032
 _BRIGHTER_THAN_WHITE = 0.001  # share of the samples of a 16-bit photograph
 
 Bands = Literal["color", "all"]
 Interpolation = Literal["nearest", "bilinear", "bicubic", "lanczos"]
 Chroma = Literal["444", "422", "420"]
+
+
+def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
+    """Raises InputError unless `value` is one of `choices`."""
+    if value not in choices:
+        raise InputError(
+            f"{name} = {value!r} is not possible: it must be one of {', '.join(choices)}"
+        )
 
 
 @dataclass(frozen=True)
@@ -54,8 +63,9 @@ class Photograph:
     bands: Bands = "color"
     alpha: bool = False
     """The last of `channels` is alpha."""
-    held_bytes_per_pixel: float = 0.0
-    """What its decoder holds of the whole photograph; 0 where rows stream."""
+    held_bytes: int = 0
+    """What reading it takes beside a band of rows: coefficients of a progressive JPEG, rows of tall
+    blocks of a TIFF."""
     note: str = ""
     """What the user should know about how it is read; mostly empty."""
 
@@ -76,10 +86,7 @@ class Encoding:
             raise InputError(
                 f"jpeg_quality = {self.jpeg_quality} is not possible: it must be 1 to 100"
             )
-        if self.jpeg_chroma not in ("444", "422", "420"):
-            raise InputError(
-                f"jpeg_chroma = {self.jpeg_chroma} is not possible: it must be 444, 422 or 420"
-            )
+        check_choice("jpeg_chroma", self.jpeg_chroma, get_args(Chroma))
 
 
 _DECIMATED = Encoding(97)
@@ -141,7 +148,7 @@ def check_names(names: Iterable[str]) -> None:
                 f"the model names an image {name!r} that lies outside the folder of the "
                 "photographs: give images names relative to it, without '..'"
             )
-        if not path.name or "\0" in name or "\n" in name:
+        if not path.name or str(path) != name or "\0" in name or "\n" in name:
             raise InputError(f"the model has an image with the unusable name {name!r}: rename it")
 
 
@@ -172,7 +179,7 @@ def open_photograph(path: Path, bands: Bands = "color") -> Photograph:
             kind,
             bands,
             alpha and bands == "all",
-            held,
+            int(held * width * height),
             note,
         )
     with _raster(path) as raster:
@@ -202,15 +209,33 @@ def open_photograph(path: Path, bands: Bands = "color") -> Photograph:
             raster.driver,
             bands,
             alpha and bands == "all",
-            _held_bytes_per_pixel(raster),
+            _held_bytes(raster, channels * bits // 8),
             note,
         )
 
 
-def _held_bytes_per_pixel(raster: Any) -> float:
-    """A block of a TIFF is read before it is decoded; where there is only one, that is all of it."""
-    block = int(raster.get_tag_item("BLOCK_SIZE_0_0", "TIFF", bidx=1) or 0)
-    return block / (raster.width * raster.height) if block > _LARGE_BLOCK else 0.0
+def _held_bytes(raster: Any, pixel_bytes: int) -> int:
+    """Of rows of blocks: those that are worked on, those that come, and GDAL's own.
+
+    Raises:
+        InputError: a block is larger than a file of that size can hold; buffers would follow it.
+    """
+    rows, columns = (int(side) for side in raster.block_shapes[0])
+    file_size = os.stat(raster.name).st_size
+    if rows * columns * pixel_bytes > max(_LARGEST_BLOCK, _LARGEST_RATIO * file_size):
+        raise InputError(
+            f"photograph {raster.name} is damaged (it is too short for its size in pixels): replace it "
+            "by a good copy, or take it out of the folder"
+        )
+    # A block is read before it is decoded; where there is only one, that is the whole file.
+    stored = int(raster.get_tag_item("BLOCK_SIZE_0_0", "TIFF", bidx=1) or 0)
+    width = int(raster.width)
+    return 3 * _block_rows(rows) * width * pixel_bytes + stored + 1_000_000 * _CACHE
+
+
+def _block_rows(rows: int) -> int:
+    """Rows that are read at once: whole blocks, so that none is decoded twice."""
+    return max(rows, _BAND_ROWS // rows * rows)
 
 
 def photograph_size(path: Path) -> tuple[int, int]:
@@ -227,6 +252,7 @@ def recapture_to_files(
     *,
     interpolation: Interpolation = "bilinear",
     encoding: Encoding = Encoding(),
+    white: int = 0,
 ) -> None:
     """Undistorts a photograph and cuts it into `files` in one pass over its rows.
 
@@ -234,12 +260,13 @@ def recapture_to_files(
         lens: positions in the photograph of undistorted pixels; None copies the pixels.
         size: (width, height) of the image that is cut; the undistorted image is shrunk to it.
         files: paths (.jpg, .png, .tif) and what they hold of that image, in its pixels.
+        white: 16 bit is written as 8 bit so that this sample is 255; 0 for as it is.
 
     Raises:
         InputError: the photograph is damaged; files that were finished before are whole, and stay.
         OutputError: a file cannot be written.
     """
-    _recapture(photograph, lens, size, files, interpolation, encoding, in_memory=False)
+    _recapture(photograph, lens, size, files, interpolation, encoding, white=white)
 
 
 def recapture_to_array(
@@ -268,7 +295,8 @@ def white_level(photograph: Photograph) -> int:
         return _white(_core.count_samples(photograph.path))
     count = np.zeros(1 << 16, np.int64)
     for rows in _rows(photograph, 0):
-        count += np.bincount(rows[..., :3].ravel(), minlength=count.size)
+        seen = rows[..., : 3 if photograph.channels >= 3 else 1]
+        count += np.bincount(seen.ravel(), minlength=count.size)
     return _white(count)
 
 
@@ -296,17 +324,9 @@ def decimate(path: Path, output: Path, max_size: int) -> float:
             max(1, (2 * photograph.width * max_size + longest) // (2 * longest)),
             max(1, (2 * photograph.height * max_size + longest) // (2 * longest)),
         )
-    whole = Rectangle(0, 0, *size)
-    if photograph.bits == 8:
-        recapture_to_files(photograph, None, size, [(output, whole)], encoding=_DECIMATED)
-    else:
-        deep = recapture_to_array(photograph, None, size, whole)
-        white = _white(np.bincount(deep.ravel(), minlength=1 << 16))
-        pixels = _core.convert_pixels(deep, "color" if photograph.channels == 3 else "grey", white)
-        shown = replace(photograph, width=size[0], height=size[1], bits=8)
-        recapture = _begin(shown, None, size, [(output, whole)], "nearest", _DECIMATED)
-        recapture.push(pixels.reshape(size[1], size[0], -1))
-        recapture.finish()
+    files = [(output, Rectangle(0, 0, *size))]
+    white = white_level(photograph) if photograph.bits == 16 else 0
+    recapture_to_files(photograph, None, size, files, encoding=_DECIMATED, white=white)
     return longest / max(size)
 
 
@@ -318,31 +338,10 @@ def _recapture(
     interpolation: Interpolation,
     encoding: Encoding,
     *,
-    in_memory: bool,
-) -> _core.Recapture:
-    recapture = _begin(photograph, lens, size, files, interpolation, encoding, in_memory=in_memory)
-    if photograph.format in ("JPEG", "PNG"):
-        recapture.read(photograph.path, photograph.bands)
-        return recapture
-    for rows in _read_ahead(_rows(photograph, recapture.first_row)):
-        recapture.push(rows)
-        if recapture.done:
-            break
-    recapture.finish()
-    return recapture
-
-
-def _begin(
-    photograph: Photograph,
-    lens: _core.LensMap | None,
-    size: tuple[int, int],
-    files: list[tuple[Path, Rectangle]],
-    interpolation: Interpolation,
-    encoding: Encoding,
-    *,
     in_memory: bool = False,
+    white: int = 0,
 ) -> _core.Recapture:
-    return _core.Recapture(
+    recapture = _core.Recapture(
         photograph=photograph.shape,
         lens=lens,
         interpolation=interpolation,
@@ -352,7 +351,17 @@ def _begin(
         jpeg_chroma=encoding.jpeg_chroma,
         last_is_alpha=photograph.alpha,
         in_memory=in_memory,
+        white=white,
     )
+    if photograph.format in ("JPEG", "PNG"):
+        recapture.read(photograph.path, photograph.bands)
+        return recapture
+    for rows in _read_ahead(_rows(photograph, recapture.first_row)):
+        recapture.push(rows)
+        if recapture.done:
+            break
+    recapture.finish()
+    return recapture
 
 
 def _white(count: NDArray[np.int64]) -> int:
@@ -399,7 +408,7 @@ def _rows(photograph: Photograph, first: int) -> Iterator[NDArray[Any]]:
     indexes = list(range(1, photograph.channels + 1))
     with _raster(photograph.path) as raster:
         block_rows, block_columns = raster.block_shapes[0]
-        step = max(block_rows, _BAND_ROWS // block_rows * block_rows)
+        step = _block_rows(block_rows)
         across = max(block_columns, _BAND_COLUMNS // block_columns * block_columns)
         for y in range(first // step * step, photograph.height, step):
             count = min(step, photograph.height - y)

@@ -84,8 +84,11 @@ def reconstruct(
     names = find_photographs(images)
     check_folders(images, output)
     check_masks(masks)
-    check_writable(output)
     workspace = Workspace(output)
+    workspace.check_apart(
+        "cut" if model else "sparse", images, model, None if masks is None else Path(masks)
+    )
+    check_writable(output)
     progress = LoggedProgress(progress or Progress(), workspace.log)
     log = _RunLog(memory)
     left_out: list[LeftOut] = []

@@ -8,7 +8,7 @@ sub-images waste less on halos. Times are estimates from what was measured (docs
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -39,7 +39,8 @@ _CUT_BYTES_PER_COLUMN = 3000
 _FUSE_BYTES = (124, 8)  # per pixel of the core, and of each source window
 _REPORT_BYTES = 320_000_000  # its pictures, whatever the photographs
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
-_MOST_IMAGES = 40  # that a plan looks at; evenly chosen when there are more
+_MOST_IMAGES, _MOST_SUB_IMAGES = 40, 1500  # that a plan looks at; evenly chosen when there are more
+_NOTABLE_BYTES = 200_000_000  # of what has to be held of a photograph
 # Pixels that any stereo holds for each pixel of the reference: the reference and about 10 sources, at about 10
 # bytes each, and the maps. For workspaces that are made for other engines.
 _ENGINE_BYTES_PER_PIXEL = 200
@@ -126,21 +127,65 @@ def plan(
         else native_scene(undistorted_model(read_arrays(model)))
     )
     seeing = AreaFilter(region.area, scene) if region.area is not None else None
-    held, notes = _held_bytes(Path(images), list(scene.cameras)) if images else ({}, ())
-    least: Plan | None = None
-    for candidate in [grid] if grid else _candidates(scene, region):
-        natives = _cut_images(scene, Layout(candidate, overlap, region), seeing)
-        found = _predict(scene, candidate, natives, num_sources, halo, held, notes)
-        if memory is None or found.peak <= memory:
+    # Which photographs are cut does not depend on the grid.
+    names = list(_cut_images(scene, Layout(Grid(1, 1), 0, region), seeing, list(scene.cameras)))
+    if seeing is not None and not names:
+        raise seeing.nothing_left()
+    held, notes = _held_bytes(Path(images), names) if images else ({}, ())
+
+    def predict(candidate: Grid, some: list[str]) -> Plan:
+        layout = Layout(candidate, overlap, region)
+        # Smaller sub-images lie closer to what they see: an area may be seen by none of some.
+        natives = _cut_images(scene, layout, seeing, some)
+        natives = natives or _cut_images(scene, layout, seeing, names)
+        return _predict(scene, candidate, natives, num_sources, halo, held, notes)
+
+    if grid is None:
+        some = names[:: -(-len(names) // _MOST_IMAGES)]
+        grid, least = _coarsest(
+            list(_candidates(scene, region, names)),
+            lambda candidate: predict(candidate, some).peak,
+            memory,
+        )
+        subject = "the least that would do is"
+    else:
+        subject = f"a grid of {grid} sub-images needs"
+    if grid is not None:
+        found = predict(grid, names)
+        least = found.peak
+        if memory is None or least <= memory:
             return found
-        if least is None or found.peak < least.peak:
-            least = found
-    assert least is not None  # there is always a 1x1 grid
-    subject = f"a grid of {grid} sub-images needs" if grid else "the least that would do is"
     raise BudgetError(
-        f"no plan fits into --memory {gigabytes(memory or 0)}: {subject} {gigabytes(least.peak)}, "
+        f"no plan fits into --memory {gigabytes(memory or 0)}: {subject} {gigabytes(least)}, "
         "or fewer --num-sources"
     )
+
+
+def _coarsest(
+    candidates: list[Grid], peak: Callable[[Grid], int], memory: int | None
+) -> tuple[Grid | None, int]:
+    """The first candidate whose peak is within `memory`, if any, and the least peak that was seen.
+
+    By bisection: the peak falls from one candidate to the next, but for some per cent.
+    """
+    peaks: dict[int, int] = {}
+
+    def fits(index: int) -> bool:
+        peaks[index] = peak(candidates[index])
+        return memory is None or peaks[index] <= memory
+
+    if fits(0):
+        return candidates[0], peaks[0]
+    low, high = 0, len(candidates) - 1
+    if high == 0 or not fits(high):
+        return None, min(peaks.values())
+    while high - low > 1:
+        middle = (low + high) // 2
+        if fits(middle):
+            high = middle
+        else:
+            low = middle
+    return candidates[high], peaks[high]
 
 
 def grid_for_memory(sizes: list[tuple[int, int]], memory: int) -> Grid:
@@ -161,11 +206,15 @@ def grid_for_memory(sizes: list[tuple[int, int]], memory: int) -> Grid:
     )
 
 
-def _candidates(scene: NativeScene, region: Region) -> Iterator[Grid]:
-    sizes = [(camera.width, camera.height) for camera in scene.cameras.values()]
-    rois = [region.roi_of(name) for name in scene.cameras]
-    cut = [(roi.width, roi.height) if roi else size for roi, size in zip(rois, sizes, strict=True)]
-    yield from _grids(*max(cut, key=lambda size: size[0] * size[1]))
+def _candidates(scene: NativeScene, region: Region, names: list[str]) -> Iterator[Grid]:
+    """From one sub-image a photograph to the smallest, as far as every photograph can be cut so."""
+    whole = [scene.cameras[name] for name in names]
+    cut = [region.roi_of(one.name) or one for one in whole]
+    largest = max(cut, key=lambda one: one.width * one.height)
+    columns, rows = min(one.width for one in cut), min(one.height for one in cut)
+    for grid in _grids(largest.width, largest.height):
+        if grid.columns <= columns and grid.rows <= rows:
+            yield grid
 
 
 def _grids(width: int, height: int) -> Iterator[Grid]:
@@ -180,18 +229,14 @@ def _grids(width: int, height: int) -> Iterator[Grid]:
 
 
 def _cut_images(
-    scene: NativeScene, layout: Layout, seeing: AreaFilter | None
+    scene: NativeScene, layout: Layout, seeing: AreaFilter | None, names: list[str]
 ) -> dict[str, NativeImage]:
-    """By name, the native images of which something is cut."""
+    """By name, those of the native images of which something is cut."""
     layout.check_names(scene.cameras)
-    natives = [
-        layout.native_image(camera.name, (camera.width, camera.height))
-        for camera in scene.cameras.values()
-    ]
+    cameras = [scene.cameras[name] for name in names]
+    natives = [layout.native_image(one.name, (one.width, one.height)) for one in cameras]
     if seeing is not None:
         natives = [native for native in map(seeing, natives) if native.sub_images]
-        if not natives:
-            raise seeing.nothing_left()
     return {native.name: native for native in natives}
 
 
@@ -205,15 +250,14 @@ def _held_bytes(images: Path, names: list[str]) -> tuple[dict[str, int], tuple[s
         except InputError as error:
             broken.append(str(error))
             continue
-        pixels = photograph.width * photograph.height
-        held[name] = int(photograph.held_bytes_per_pixel * pixels)
+        held[name] = photograph.held_bytes
     notes = []
     if broken:
         notes.append(f"{len(broken)} photographs would be left out; the first one: {broken[0]}")
-    if (count := sum(size > 0 for size in held.values())) > 0:
+    if (count := sum(size > _NOTABLE_BYTES for size in held.values())) > 0:
         notes.append(
-            f"{count} photographs cannot be read by rows (progressive JPEG, for example): up to "
-            f"{gigabytes(max(held.values()))} more while one of them is cut"
+            f"{count} photographs cannot be read row by row (progressive JPEG, TIFF of tall strips or "
+            f"tiles): up to {gigabytes(max(held.values()))} more while one of them is cut"
         )
     return held, tuple(notes)
 
@@ -228,7 +272,11 @@ def _predict(
     notes: tuple[str, ...],
 ) -> Plan:
     covered = {name: native.covered for name, native in natives.items()}
-    looked_at = list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
+    units = [
+        (native, sub)
+        for native in list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
+        for sub in native.sub_images
+    ]
     # (pixels of the core, of the source windows, views) of each sub-image that is looked at.
     found = [
         (
@@ -236,8 +284,7 @@ def _predict(
             sum(source.window.area for source in views.sources),
             views,
         )
-        for native in looked_at
-        for sub in native.sub_images
+        for native, sub in units[:: -(-len(units) // _MOST_SUB_IMAGES)]
         for views in [
             sub_image_views(scene, native, sub, num_sources=num_sources, halo=halo, covered=covered)
         ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pycolmap
@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from sirpy.errors import InputError
 from sirpy.lens import UndistortOptions, undistortion
-from sirpy.photographs import Bands, Interpolation, open_photograph, recapture_to_array
+from sirpy.photographs import (
+    Bands,
+    Interpolation,
+    check_choice,
+    open_photograph,
+    recapture_to_array,
+)
 from sirpy.rectangle import Rectangle
 
 
@@ -50,6 +56,8 @@ def recapture(
         InputError: the photograph cannot be read or has another size than its camera, the
             rectangle is not inside the image, or the camera cannot be undistorted.
     """
+    check_choice("bands", bands, get_args(Bands))
+    check_choice("interpolation", interpolation, get_args(Interpolation))
     photograph = open_photograph(Path(image), bands)
     if (photograph.width, photograph.height) != (camera.width, camera.height):
         raise InputError(

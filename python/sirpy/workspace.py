@@ -110,13 +110,13 @@ class NativeImage:
 
     @property
     def covered(self) -> Rectangle:
-        """The smallest rectangle around all that the sub-images store; there is one at least."""
-        stored = [sub.stored for sub in self.sub_images]
+        """The smallest rectangle around all that the sub-images own; there is one at least."""
+        cores = [sub.core for sub in self.sub_images]
         return Rectangle.from_corners(
-            min(one.x0 for one in stored),
-            min(one.y0 for one in stored),
-            max(one.x1 for one in stored),
-            max(one.y1 for one in stored),
+            min(one.x0 for one in cores),
+            min(one.y0 for one in cores),
+            max(one.x1 for one in cores),
+            max(one.y1 for one in cores),
         )
 
 
@@ -421,6 +421,19 @@ class Workspace:
         kept = {name: value for name, value in known.items() if name not in stale}
         write_json(path, {**kept, stage: fingerprint})
         return False
+
+    def check_apart(self, first_stage: str, *sources: Path | None) -> None:
+        """Raises InputError where an input lies among what `first_stage` and later ones remove."""
+        stages = list(_STAGE_OUTPUTS)
+        for stage in stages[stages.index(first_stage) :]:
+            for output in _STAGE_OUTPUTS[stage]:
+                target = (self.folder / output).resolve()
+                for source in sources:
+                    if source is not None and source.resolve().is_relative_to(target):
+                        raise InputError(
+                            f"{source} lies where this workspace keeps its own files, which are removed "
+                            "when options change: choose another output folder, or move it"
+                        )
 
     def _outputs(self, stage: str) -> list[Path]:
         """What there is of a stage's outputs."""

@@ -1,4 +1,5 @@
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -551,8 +552,14 @@ def test_bands_and_bits_are_kept_on_request(tmp_path: Path) -> None:
     suffix, pixels = stored(bands="all")  # a fourth channel that is not alpha: no PNG
     assert suffix == ".tif"
     np.testing.assert_array_equal(pixels, infrared)
-    with pytest.raises(InputError, match=r"a\.tif has 3 channels of 16 bits, which a jpg cannot"):
-        stored(format="jpg")
+    with pytest.raises(InputError, match=r"a\.tif has 4 channels, which a jpg cannot hold"):
+        stored(format="jpg", bands="all")
+    # 16 bit become 8 in a JPEG, the photograph's own white 255.
+    suffix, pixels = stored(format="jpg")
+    assert suffix == ".jpg" and pixels.dtype == np.uint8
+    white = np.sort(infrared[..., :3], axis=None)[-int(infrared[..., :3].size * 0.001) - 1]
+    shown = np.minimum(infrared[..., :3] / white, 1) * 255
+    assert np.abs(pixels - shown).mean() < 8
     for options in ({"format": "gif"}, {"bands": "some"}, {"interpolation": "cubic"}):
         with pytest.raises(InputError, match=f"{next(iter(options))} = .* is not possible"):
             PixelOptions(**options)
@@ -588,6 +595,35 @@ def test_masks_are_cut_with_their_photographs(tmp_path: Path) -> None:
     )
     (left_out,) = workspace.left_out
     assert left_out.name == "deep/b.png" and "b.png.png has 90x69 pixels" in left_out.reason
+
+
+def test_masks_that_fit_no_photograph_are_refused(tmp_path: Path) -> None:
+    photos, model = scene(tmp_path, "OPENCV", ("a.png", "b.png"))
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    masks, out = tmp_path / "masks", tmp_path / "out"
+    write_image(masks / "a_mask.png", mask)
+    with pytest.raises(InputError, match=r"none of the photographs has a mask .* like a\.png\.png"):
+        cut(photos, model, out, identity="", grid=Grid(1, 1), masks=masks)
+    assert not out.exists()
+    write_image(masks / "a.png.png", mask)
+    notes = Notes()
+    cut(photos, model, out, identity="", grid=Grid(1, 1), masks=masks, progress=notes)
+    assert any("1 of 2 photographs have no mask" in note for note in notes.notes)
+    # Nor may masks lie where they would be written, or any input where it would be removed.
+    with pytest.raises(InputError, match="masks lies where this workspace keeps its own files"):
+        cut(photos, model, out, identity="", grid=Grid(1, 1), masks=out / "masks")
+    with pytest.raises(InputError, match="sparse lies where this workspace keeps its own files"):
+        cut(photos, out / "sparse", out, grid=Grid(1, 1))
+    assert (out / "masks").exists() and (out / "sparse" / "images.bin").exists()
+
+
+def test_models_that_were_removed_are_written_again(tmp_path: Path) -> None:
+    photos, model = scene(tmp_path)
+    workspace = cut(photos, model, tmp_path / "out", identity="", grid=Grid(2, 1))
+    before = files(workspace.folder)
+    shutil.rmtree(workspace.sparse)
+    cut(photos, model, tmp_path / "out", identity="", grid=Grid(2, 1))
+    assert files(workspace.folder) == before
 
 
 def test_16_bit_workspaces_show_the_brightest_white_as_white(tmp_path: Path) -> None:

@@ -53,7 +53,18 @@ def test_missing_and_empty_folders_are_errors(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["/etc/a.jpg", "../a.jpg", "a/../../b.jpg", "C:\\a.jpg", "..\\a.jpg", "", "a\nb.jpg"]
+    "name",
+    [
+        "./a.jpg",
+        "b//a.jpg",
+        "/etc/a.jpg",
+        "../a.jpg",
+        "a/../../b.jpg",
+        "C:\\a.jpg",
+        "..\\a.jpg",
+        "",
+        "a\nb.jpg",
+    ],
 )
 def test_names_that_leave_the_folder_are_refused(name: str) -> None:
     check_names(["a.jpg", "b/c d.jpg", "..a.jpg"])
@@ -107,19 +118,36 @@ def test_16_bit_rows_are_the_pixels(tmp_path: Path, kind: str, count: int) -> No
         assert open_photograph(path).channels == 3
 
 
-def test_what_a_reader_holds_of_the_whole_photograph_is_known(tmp_path: Path) -> None:
+def test_what_a_reader_holds_is_known(tmp_path: Path) -> None:
     pixels = noise((2400, 2000, 3))
-    write_raster(tmp_path / "strips.tif", pixels, compress="lzw")
-    write_raster(tmp_path / "strip.tif", pixels, compress="lzw", blockysize=2400)
-    assert open_photograph(tmp_path / "strips.tif").held_bytes_per_pixel == 0
-    size = (tmp_path / "strip.tif").stat().st_size
-    held = open_photograph(tmp_path / "strip.tif").held_bytes_per_pixel
-    assert held == pytest.approx(size / (2400 * 2000), rel=1e-3)
-    write_raster(tmp_path / "plain.jpg", pixels)
-    write_raster(tmp_path / "progressive.jpg", pixels, PROGRESSIVE="YES")
-    assert open_photograph(tmp_path / "plain.jpg").held_bytes_per_pixel == 0
+
+    def held(name: str, **options: object) -> int:
+        write_raster(tmp_path / name, pixels, **options)
+        return open_photograph(tmp_path / name).held_bytes
+
+    cache = 64_000_000
+    strips = held("strips.tif", compress="lzw")
+    assert cache < strips < cache + 3_000_000  # some rows of 6000 bytes
+    tiles = held("tiles.tif", tiled=True, blockxsize=512, blockysize=512)
+    assert tiles - strips == pytest.approx(3 * (512 - 64) * 6000, rel=0.2)
+    tall = held("tall.tif", compress="lzw", blockysize=1200)
+    assert 3 * (1200 - 64) * 6000 < tall - strips < 3 * 1200 * 6000 + 12_000_000
+    # GDAL reads a lone strip by rows, but holds what is compressed.
+    stored = held("strip.tif", compress="lzw", blockysize=2400) - strips
+    assert stored == pytest.approx((tmp_path / "strip.tif").stat().st_size, rel=0.01)
+    assert held("plain.jpg") == 0
     # Two bytes for each coefficient: of the luma, and of two chroma planes of a quarter each.
-    assert open_photograph(tmp_path / "progressive.jpg").held_bytes_per_pixel == 3
+    assert held("progressive.jpg", PROGRESSIVE="YES") == 3 * 2400 * 2000
+
+
+def test_white_does_not_count_alpha(tmp_path: Path) -> None:
+    for channels in (2, 4):
+        pixels = np.full((20, 30, channels), 65535, np.uint16)
+        pixels[..., :-1] = 3998
+        for name in ("a.tif", "a.png"):
+            write_raster(tmp_path / name, pixels, alpha="unspecified" if name == "b" else "yes")
+            for bands in ("color", "all"):
+                assert white_level(open_photograph(tmp_path / name, bands)) == 3998, (name, bands)
 
 
 @pytest.mark.parametrize("kind", ["float32", "int16", "uint32"])

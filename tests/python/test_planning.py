@@ -17,7 +17,7 @@ from sirpy.errors import BudgetError, InputError
 from sirpy.layout import Region
 from sirpy.memory import parse_memory
 from sirpy.plan_table import print_plan
-from sirpy.planning import grid_for_memory, plan
+from sirpy.planning import _coarsest, grid_for_memory, plan
 from sirpy.rectangle import Grid, Rectangle
 
 
@@ -103,7 +103,7 @@ def test_photographs_that_are_held_whole_count_in_the_peak_of_cut(
     class Held:
         width: int = 4000
         height: int = 3000
-        held_bytes_per_pixel: float = 3.0
+        held_bytes: int = 300_000_000
 
     def opened(path: Path) -> Held:
         if path.name == "001.jpg":
@@ -113,9 +113,9 @@ def test_photographs_that_are_held_whole_count_in_the_peak_of_cut(
     monkeypatch.setattr("sirpy.planning.open_photograph", opened)
     held = plan(scene, memory=None, grid=Grid(2, 2), images=tmp_path)
     more = held.predicted_peak["cut"] - rows.predicted_peak["cut"]
-    assert more == pytest.approx(1.1 * 3 * 12e6, rel=1e-6)
+    assert more == pytest.approx(1.1 * 300e6, rel=1e-6)
     assert "1 photographs would be left out" in held.notes[0]
-    assert "2 photographs cannot be read by rows" in held.notes[1]
+    assert "2 photographs cannot be read row by row" in held.notes[1]
 
 
 def test_the_table_says_what_the_plan_says() -> None:
@@ -135,3 +135,34 @@ def test_grid_for_memory_fits(width: int, height: int, memory: float) -> None:
     grid = grid_for_memory([(width, height)], int(memory))
     areas = [core.area for _, _, core in grid.cores(width, height)]
     assert 200 * np.max(areas) <= memory
+
+
+def test_small_regions_bound_the_grid() -> None:
+    scene = plane_scene(count=6, width=9000, height=7000)
+    with pytest.raises(BudgetError, match="the least that would do is"):
+        plan(scene, memory=300_000_000)
+    name = next(iter(scene.cameras))
+    free = plan(scene, memory=1_000_000_000).grid
+    assert free.columns > 2
+    # One region of 2 x 3 pixels: no grid has more columns or rows.
+    region = Region(rois={name: Rectangle(0, 0, 2, 3)})
+    with pytest.raises(BudgetError):
+        plan(scene, memory=1_000_000_000, region=region)
+    with pytest.raises(InputError, match=f"{name}: a grid of 3x3"):
+        plan(scene, memory=None, region=region, grid=Grid(3, 3))
+
+
+def test_the_coarsest_grid_is_found_by_bisection() -> None:
+    grids = [Grid(i, i) for i in range(1, 40)]
+    for columns in (1, 2, 17, 38, 39):
+        asked: list[int] = []
+
+        def peak(grid: Grid, asked: list[int] = asked) -> int:
+            asked.append(grid.columns)
+            return 1000 // grid.columns
+
+        found, _ = _coarsest(grids, peak, 1000 // columns)
+        assert found is not None and 1000 // found.columns <= 1000 // columns
+        assert found.columns == 1 or 1000 // (found.columns - 1) > 1000 // columns
+        assert len(asked) <= 8
+    assert _coarsest(grids, lambda grid: 1000 // grid.columns, 20) == (None, 25)

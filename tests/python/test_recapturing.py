@@ -115,5 +115,8 @@ def test_mistakes_are_named(photos: Path) -> None:
             recapture(photos / "a.png", lens, rectangle)
     with pytest.raises(InputError, match="has 90x70 pixels, but its camera 45x35"):
         recapture(photos / "a.png", camera("OPENCV", scale=0.5), Rectangle(0, 0, 9, 9))
+    for options in ({"interpolation": "cubic"}, {"bands": "x"}):
+        with pytest.raises(InputError, match="is not possible: it must be one of"):
+            recapture(photos / "a.png", lens, Rectangle(0, 0, 9, 9), **options)
     with pytest.raises(InputError, match="there is no photograph"):
         recapture(photos / "absent.png", lens, Rectangle(0, 0, 9, 9))

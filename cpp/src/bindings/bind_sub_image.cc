@@ -49,7 +49,8 @@ Pixels ToPixels(const std::string& word) { return Choice<Pixels>(word, {"grey", 
 RecaptureTask MakeTask(const Shape& photograph, const std::shared_ptr<LensMap>& lens,
                        const std::string& interpolation, const Size& size,
                        const std::vector<File>& files, int jpeg_quality,
-                       const std::string& jpeg_chroma, bool last_is_alpha, bool in_memory) {
+                       const std::string& jpeg_chroma, bool last_is_alpha, bool in_memory,
+                       int white) {
   RecaptureTask task;
   task.photograph = ToImageShape(photograph);
   task.lens = lens;
@@ -63,6 +64,7 @@ RecaptureTask MakeTask(const Shape& photograph, const std::shared_ptr<LensMap>& 
   task.writer.jpeg_chroma = Choice<JpegChroma>(jpeg_chroma, {"444", "422", "420"});
   task.writer.last_is_alpha = last_is_alpha;
   task.in_memory = in_memory;
+  task.white = white;
   return task;
 }
 
@@ -86,14 +88,21 @@ Array<double> LensMapAt(const LensMap& lens, const Array<double>& points) {
   return out;
 }
 
-// Rows of a photograph as numpy has them: n x width x channels of uint8 or uint16, contiguous.
-const uint8_t* RowData(const py::array& rows, const ImageShape& shape) {
-  if (rows.ndim() != 3 || rows.shape(1) != shape.width || rows.shape(2) != shape.channels ||
-      !(rows.flags() & py::array::c_style) || rows.dtype().kind() != 'u' ||
-      rows.itemsize() != shape.sample_bytes) {
-    throw py::value_error("rows must be n x width x channels of the photograph, contiguous");
+// Pixels as numpy has them: height x width x channels of uint8 or uint16 in native byte order,
+// contiguous and aligned.
+ImageShape ShapeOf(const py::array& pixels) {
+  constexpr int kWanted = py::array::c_style | py::detail::npy_api::NPY_ARRAY_ALIGNED_;
+  const bool bytes = pixels.dtype().equal(py::dtype::of<uint8_t>());
+  if (pixels.ndim() != 3 || pixels.shape(2) < 1 || (pixels.flags() & kWanted) != kWanted ||
+      !(bytes || pixels.dtype().equal(py::dtype::of<uint16_t>()))) {
+    throw py::value_error(
+        "pixels must be height x width x channels of uint8 or uint16, contiguous and aligned");
   }
-  return static_cast<const uint8_t*>(rows.data());
+  return {pixels.shape(1), pixels.shape(0), static_cast<int>(pixels.shape(2)), bytes ? 1 : 2};
+}
+
+const uint8_t* DataOf(const py::array& pixels) {
+  return static_cast<const uint8_t*>(pixels.data());
 }
 
 // height x width x channels, or height x width where `flat`; takes the bytes without a copy.
@@ -123,10 +132,8 @@ py::array BindReadWindow(const fs::path& path, int64_t x0, int64_t y0, int64_t w
 
 py::array BindConvertPixels(const py::array& stored, const std::string& pixels, int white) {
   const Pixels kind = ToPixels(pixels);
-  if (stored.ndim() != 3) throw py::value_error("pixels must be height x width x channels");
-  const ImageShape shape{stored.shape(1), stored.shape(0), static_cast<int>(stored.shape(2)),
-                         static_cast<int>(stored.itemsize())};
-  const uint8_t* data = RowData(stored, shape);
+  const ImageShape shape = ShapeOf(stored);
+  const uint8_t* data = DataOf(stored);
   const ImageShape converted = ConvertedShape(shape, {0, 0, shape.width, shape.height}, kind);
   std::vector<uint8_t> bytes(converted.RowBytes() * converted.height);
   {
@@ -169,22 +176,29 @@ void BindSubImage(py::module_& module) {
       .def(py::init([](const Shape& photograph, const std::shared_ptr<LensMap>& lens,
                        const std::string& interpolation, const Size& size,
                        const std::vector<File>& files, int jpeg_quality,
-                       const std::string& jpeg_chroma, bool last_is_alpha, bool in_memory) {
+                       const std::string& jpeg_chroma, bool last_is_alpha, bool in_memory,
+                       int white) {
              return std::make_unique<Recapture>(MakeTask(photograph, lens, interpolation, size,
                                                          files, jpeg_quality, jpeg_chroma,
-                                                         last_is_alpha, in_memory));
+                                                         last_is_alpha, in_memory, white));
            }),
            py::kw_only(), py::arg("photograph"), py::arg("lens"), py::arg("interpolation"),
            py::arg("size"), py::arg("files"), py::arg("jpeg_quality"), py::arg("jpeg_chroma"),
-           py::arg("last_is_alpha"), py::arg("in_memory"))
+           py::arg("last_is_alpha"), py::arg("in_memory"), py::arg("white"))
       .def_property_readonly("first_row", &Recapture::first_row)
       .def_property_readonly("done", &Recapture::Done)
       .def(
           "push",
           [](Recapture& self, const py::array& rows) {
-            const uint8_t* data = RowData(rows, self.photograph());
+            ImageShape expected = self.photograph();
+            expected.height = rows.ndim() > 0 ? rows.shape(0) : 0;
+            if (!(ShapeOf(rows) == expected)) {
+              throw py::value_error(
+                  "rows have another width, or other samples, than the photograph");
+            }
+            const uint8_t* data = DataOf(rows);
             py::gil_scoped_release release;
-            self.Push(data, rows.shape(0));
+            self.Push(data, expected.height);
           },
           py::arg("rows").noconvert())
       .def("finish", &Recapture::Finish, py::call_guard<py::gil_scoped_release>())

@@ -1,5 +1,6 @@
 #include "sub_image/image_writer.h"
 
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 
@@ -22,16 +23,20 @@ std::unique_ptr<ImageWriter> OpenImageWriter(const std::filesystem::path& path,
   options.Validate();
   const std::string extension = path.extension().string();
   if (extension == ".jpg" || extension == ".jpeg") {
-    if (shape.sample_bytes == 1 && (shape.channels == 1 || shape.channels == 3)) {
+    const bool fits = std::max(shape.width, shape.height) <= kLongestJpegSide;
+    if (fits && shape.sample_bytes == 1 && (shape.channels == 1 || shape.channels == 3)) {
       return std::make_unique<JpegWriter>(path, shape, options);
     }
   } else if (extension == ".png") {
-    if (shape.channels <= 4) return std::make_unique<PngWriter>(path, shape);
+    const bool fits = std::max(shape.width, shape.height) <= kLongestPngSide;
+    if (fits && shape.channels <= 4) return std::make_unique<PngWriter>(path, shape);
   } else if (extension == ".tif") {
     return std::make_unique<TiffWriter>(path, shape, options);
   }
-  throw std::invalid_argument(path.string() + " cannot hold " + std::to_string(shape.channels) +
-                              " channels of " + std::to_string(8 * shape.sample_bytes) + " bits");
+  throw std::invalid_argument(path.string() + " cannot hold " + std::to_string(shape.width) + "x" +
+                              std::to_string(shape.height) + " pixels of " +
+                              std::to_string(shape.channels) + " channels of " +
+                              std::to_string(8 * shape.sample_bytes) + " bits");
 }
 
 }  // namespace sirpy

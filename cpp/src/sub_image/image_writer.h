@@ -33,6 +33,9 @@ struct WriterOptions {
   void Validate() const;
 };
 
+constexpr int64_t kLongestJpegSide = 65500;     // pixels; of the format, less what libjpeg keeps
+constexpr int64_t kLongestPngSide = 1'000'000;  // libpng's bound
+
 // `path` ends in .jpg or .jpeg (8 bit, 1 or 3 channels), .png (8 or 16 bit, up to 4 channels) or
 // .tif (8 or 16 bit, any number of channels). Throws std::invalid_argument for anything else,
 // OutputError when the file cannot be opened.

@@ -147,18 +147,8 @@ void Separable(const SourceRows& source, int channels, const int32_t* x, const i
       });
 }
 
-void BilinearGrey8(const SourceRows& source, int /*channels*/, const int32_t* x, const int32_t* y,
-                   int64_t count, uint8_t* out) {
-  warp::BestKernels().bilinear_grey8(source, x, y, count, out);
-}
-
-void BilinearRgb8(const SourceRows& source, int /*channels*/, const int32_t* x, const int32_t* y,
-                  int64_t count, uint8_t* out) {
-  warp::BestKernels().bilinear_rgb8(source, x, y, count, out);
-}
-
 template <typename Sample>
-SampleRow ChooseFor(Interpolation interpolation) {
+warp::SampleRow ChooseFor(Interpolation interpolation) {
   switch (interpolation) {
     case Interpolation::kNearest:
       return Nearest<Sample>;
@@ -181,11 +171,11 @@ int RowsAbove(Interpolation interpolation) {
 
 int RowsBelow(Interpolation interpolation) { return RowsAbove(interpolation) + 1; }
 
-SampleRow ChooseSampleRow(Interpolation interpolation, const ImageShape& photograph) {
+warp::SampleRow ChooseSampleRow(Interpolation interpolation, const ImageShape& photograph) {
   if (photograph.sample_bytes == 2) return ChooseFor<uint16_t>(interpolation);
   if (interpolation == Interpolation::kBilinear) {
-    if (photograph.channels == 1) return BilinearGrey8;
-    if (photograph.channels == 3) return BilinearRgb8;
+    if (photograph.channels == 1) return warp::BestKernels().bilinear_grey8;
+    if (photograph.channels == 3) return warp::BestKernels().bilinear_rgb8;
   }
   return ChooseFor<uint8_t>(interpolation);
 }

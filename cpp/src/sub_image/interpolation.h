@@ -20,10 +20,7 @@ enum class Interpolation {
 int RowsAbove(Interpolation interpolation);
 int RowsBelow(Interpolation interpolation);
 
-// Samples of `count` pixels at (x, y) into `out`, pixels of the shape of the photograph's.
-using SampleRow = void (*)(const warp::SourceRows& source, int channels, const int32_t* x,
-                           const int32_t* y, int64_t count, uint8_t* out);
-
-SampleRow ChooseSampleRow(Interpolation interpolation, const ImageShape& photograph);
+// How rows of such a photograph are sampled, on the best instruction set.
+warp::SampleRow ChooseSampleRow(Interpolation interpolation, const ImageShape& photograph);
 
 }  // namespace sirpy

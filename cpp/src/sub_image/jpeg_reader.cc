@@ -64,8 +64,8 @@ JpegReader::JpegReader(const std::filesystem::path& path)
   info->out_color_space = info->num_components == 3 ? JCS_RGB : JCS_GRAYSCALE;
   shape_ = {static_cast<int64_t>(info->image_width), static_cast<int64_t>(info->image_height),
             info->num_components, 1};
-  // A block of 8 x 8 pixels takes a bit at least.
-  CheckFileHolds(path, shape_.width * shape_.height / (64 * 8));
+  // A Huffman code of a block of 8 x 8 pixels takes a bit at least.
+  if (!info->arith_code) CheckFileHolds(path, shape_.width * shape_.height / (64 * 8));
   if (jpeg_has_multiple_scans(info)) held_bytes_per_pixel_ = CoefficientBytesPerPixel(*info);
 }
 

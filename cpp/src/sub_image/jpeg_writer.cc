@@ -1,5 +1,9 @@
 #include "sub_image/jpeg_writer.h"
 
+#include <cerrno>
+#include <stdexcept>
+#include <string>
+
 #include "sub_image/jpeg_error.h"
 #include "sub_image/partial_file.h"
 
@@ -14,7 +18,11 @@ struct JpegWriter::Encoder {
 
   template <typename Call>
   void Guard(Call call) {
-    GuardJpeg(errors, call, [this] { file.Fail(); });
+    errno = 0;
+    GuardJpeg(errors, call, [this] {
+      if (errors.manager.msg_code == JERR_FILE_WRITE) file.Fail();
+      throw std::logic_error(std::string("libjpeg: ") + errors.message);
+    });
   }
 
   PartialFile file;

@@ -2,8 +2,12 @@
 
 #include <png.h>
 
+#include <cerrno>
 #include <csetjmp>
+#include <cstdio>
 #include <new>
+#include <stdexcept>
+#include <string>
 
 #include "sub_image/partial_file.h"
 
@@ -17,23 +21,31 @@ constexpr int kColorTypes[] = {PNG_COLOR_TYPE_GRAY, PNG_COLOR_TYPE_GRAY_ALPHA, P
 
 struct PngWriter::Encoder {
   explicit Encoder(const std::filesystem::path& path)
-      : file(path), png(png_create_write_struct(PNG_LIBPNG_VER_STRING, nullptr, OnError, nullptr)) {
+      : file(path), png(png_create_write_struct(PNG_LIBPNG_VER_STRING, this, OnError, OnWarning)) {
     if (png != nullptr) info = png_create_info_struct(png);
     if (info == nullptr) throw std::bad_alloc();
   }
   ~Encoder() { png_destroy_write_struct(&png, &info); }
 
-  [[noreturn]] static void OnError(png_structp png, png_const_charp /*message*/) {
+  [[noreturn]] static void OnError(png_structp png, png_const_charp message) {
+    auto* encoder = static_cast<Encoder*>(png_get_error_ptr(png));
+    std::snprintf(encoder->message, sizeof encoder->message, "%s", message);
     png_longjmp(png, 1);
   }
+  static void OnWarning(png_structp, png_const_charp) {}
 
   template <typename Call>
   void Guard(Call call) {
-    if (setjmp(png_jmpbuf(png)) != 0) file.Fail();
+    errno = 0;
+    if (setjmp(png_jmpbuf(png)) != 0) {
+      if (errno != 0 || std::ferror(file.stream()) != 0) file.Fail();
+      throw std::logic_error(std::string("libpng: ") + message);
+    }
     call();
   }
 
   PartialFile file;
+  char message[128] = {};
   png_structp png = nullptr;
   png_infop info = nullptr;
 };

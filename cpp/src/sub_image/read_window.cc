@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 #include <memory>
+#include <stdexcept>
 #include <string>
 
 #include "error.h"
@@ -38,6 +39,7 @@ void Convert(const Sample* stored, int channels, int64_t count, bool color, int 
 
 void ConvertPixels(const uint8_t* stored, const ImageShape& shape, int64_t count, Pixels pixels,
                    int white, uint8_t* converted) {
+  if (white < 1 || white > 65535) throw std::invalid_argument("white must be 1 to 65535");
   const bool color = pixels == Pixels::kColor;
   if (pixels == Pixels::kAll) {
     std::memcpy(converted, stored, count * shape.PixelBytes());

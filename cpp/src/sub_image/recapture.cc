@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "error.h"
+#include "sub_image/read_window.h"
 #include "sub_image/shrink.h"
 #include "sub_image/warp.h"
 
@@ -14,6 +15,8 @@ namespace {
 
 // Bytes of a block of rows: large enough that the threads seldom wait for each other.
 constexpr int64_t kBlockBytes = 2 << 20;
+
+constexpr int64_t kSliceRows = 64;
 
 // Keeps one rectangle of the rows that pass.
 class Collect : public RowSink {
@@ -51,6 +54,36 @@ class Collect : public RowSink {
   std::vector<uint8_t>* pixels_;
 };
 
+// Makes 8-bit grey or RGB of 16-bit rows.
+class ToBytes : public RowSink {
+ public:
+  ToBytes(int64_t width, const ImageShape& pixel, int white, std::unique_ptr<RowSink> next)
+      : shape_(pixel), white_(white), next_(std::move(next)) {
+    shape_.width = width;
+  }
+  // Of the pixels that come out.
+  static ImageShape Shape(ImageShape pixel) {
+    return ConvertedShape(pixel, {0, 0, pixel.width, pixel.height}, Kind(pixel));
+  }
+  void Push(const uint8_t* rows, int64_t count) override {
+    out_.resize(count * shape_.width * Shape(shape_).channels);
+    ConvertPixels(rows, shape_, count * shape_.width, Kind(shape_), white_, out_.data());
+    next_->Push(out_.data(), count);
+  }
+  void Finish() override { next_->Finish(); }
+  bool Done() const override { return next_->Done(); }
+
+ private:
+  static Pixels Kind(const ImageShape& pixel) {
+    return pixel.channels >= 3 ? Pixels::kColor : Pixels::kGrey;
+  }
+
+  ImageShape shape_;
+  int white_;
+  std::unique_ptr<RowSink> next_;
+  std::vector<uint8_t> out_;
+};
+
 ImageShape UndistortedShape(const RecaptureTask& task) {
   ImageShape shape = task.photograph;
   if (task.lens) {
@@ -82,18 +115,22 @@ Rectangle Window(const RecaptureTask& task) {
 
 }  // namespace
 
-// photograph -> warp -> shrink -> files, without the steps that have nothing to do.
+// photograph -> warp -> shrink -> 8 bit -> files, without the steps that have nothing to do.
 Recapture::Recapture(RecaptureTask task) : photograph_(task.photograph) {
   const Rectangle window = Window(task);
   first_row_ = window.y0;
   expected_end_ = IsShrunk(task) ? photograph_.height : window.y1();
+  const bool to_bytes = task.white > 0 && photograph_.sample_bytes == 2;
+  const ImageShape pixel = to_bytes ? ToBytes::Shape(photograph_) : photograph_;
   if (task.in_memory) {
     const Rectangle& kept = task.sub_images.at(0).stored;
-    kept_shape_ = {kept.width, kept.height, photograph_.channels, photograph_.sample_bytes};
-    rows_ = std::make_unique<Collect>(window, kept, photograph_.PixelBytes(), &pixels_);
+    kept_shape_ = {kept.width, kept.height, pixel.channels, pixel.sample_bytes};
+    rows_ = std::make_unique<Collect>(window, kept, pixel.PixelBytes(), &pixels_);
   } else {
-    rows_ = std::make_unique<SubImageFiles>(window, photograph_, std::move(task.sub_images),
-                                            task.writer);
+    rows_ = std::make_unique<SubImageFiles>(window, pixel, std::move(task.sub_images), task.writer);
+  }
+  if (to_bytes) {
+    rows_ = std::make_unique<ToBytes>(window.width, photograph_, task.white, std::move(rows_));
   }
   Rectangle undistorted = window;
   if (IsShrunk(task)) {
@@ -112,9 +149,14 @@ Recapture::Recapture(RecaptureTask task) : photograph_(task.photograph) {
 }
 
 void Recapture::Push(const uint8_t* rows, int64_t count) {
+  if (next_row_ + count > photograph_.height) {
+    throw std::logic_error("more rows than the photograph has");
+  }
+  // In slices, so that no stage holds more for a caller with tall blocks.
+  for (int64_t row = 0; row < count; row += kSliceRows) {
+    rows_->Push(rows + row * photograph_.RowBytes(), std::min(kSliceRows, count - row));
+  }
   next_row_ += count;
-  if (next_row_ > photograph_.height) throw std::logic_error("more rows than the photograph has");
-  rows_->Push(rows, count);
 }
 
 void Recapture::Finish() {
@@ -122,10 +164,17 @@ void Recapture::Finish() {
   rows_->Finish();
 }
 
+std::vector<uint8_t> Recapture::TakePixels() {
+  if (pixels_.empty() || !Done()) throw std::logic_error("there are no pixels to take");
+  return std::move(pixels_);
+}
+
 void RecaptureFrom(ImageReader& photograph, Recapture& recapture) {
   const ImageShape shape = photograph.shape();
   if (!(shape == recapture.photograph())) {
-    throw InputError("a photograph has changed while it was read: run the same command again");
+    throw InputError(
+        "a photograph has changed since its header was read: run the same command "
+        "again");
   }
   const int64_t block_rows = std::clamp<int64_t>(kBlockBytes / shape.RowBytes(), 1, shape.height);
   std::vector<uint8_t> ready(block_rows * shape.RowBytes());

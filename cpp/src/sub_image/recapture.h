@@ -6,7 +6,6 @@
 
 #include <filesystem>
 #include <memory>
-#include <utility>
 #include <vector>
 
 #include "sub_image/image_reader.h"
@@ -27,6 +26,7 @@ struct RecaptureTask {
   std::vector<SubImageFile> sub_images;
   WriterOptions writer;
   bool in_memory = false;  // the only sub-image is kept, not written
+  int white = 0;           // of 16 bits: written as 8 bit so that this is 255; 0: as they are
 };
 
 // Photograph rows go in, sub-image files come out.
@@ -50,10 +50,10 @@ class Recapture {
 
   const ImageShape& photograph() const { return photograph_; }
 
-  // The sub-image that was kept in memory: its shape, and its rows, contiguous; once, after the
-  // last row.
+  // The sub-image that was kept in memory: its shape, and its rows, contiguous. Once, after the
+  // last row; throws std::logic_error otherwise.
   const ImageShape& kept_shape() const { return kept_shape_; }
-  std::vector<uint8_t> TakePixels() { return std::move(pixels_); }
+  std::vector<uint8_t> TakePixels();
 
  private:
   ImageShape photograph_;

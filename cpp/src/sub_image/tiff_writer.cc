@@ -2,6 +2,10 @@
 
 #include <tiffio.h>
 
+#include <cerrno>
+#include <cstdarg>
+#include <cstdio>
+#include <memory>
 #include <vector>
 
 #include "sub_image/partial_file.h"
@@ -10,6 +14,12 @@ namespace sirpy {
 namespace {
 
 constexpr uint64_t kLargestClassic = 4'000'000'000;  // bytes; beyond it a TIFF is a BigTIFF
+
+// Failures come back as return values; libtiff would print them too.
+int SayNothing(TIFF* /*tiff*/, void* /*data*/, const char* /*module*/, const char* /*format*/,
+               va_list /*values*/) {
+  return 1;
+}
 
 std::FILE* Stream(thandle_t handle) { return static_cast<std::FILE*>(handle); }
 
@@ -51,12 +61,13 @@ struct TiffWriter::Encoder {
 TiffWriter::TiffWriter(const std::filesystem::path& path, const ImageShape& shape,
                        const WriterOptions& options)
     : encoder_(std::make_unique<Encoder>(path)) {
-  // Failures come back as return values; libtiff would print them too.
-  TIFFSetErrorHandler(nullptr);
-  TIFFSetWarningHandler(nullptr);
   const bool big = static_cast<uint64_t>(shape.RowBytes()) * shape.height > kLargestClassic;
-  TIFF* tiff = TIFFClientOpen(path.c_str(), big ? "w8" : "w", encoder_->file.stream(), Read, Write,
-                              Seek, Close, Size, nullptr, nullptr);
+  const std::unique_ptr<TIFFOpenOptions, decltype(&TIFFOpenOptionsFree)> quietly(
+      TIFFOpenOptionsAlloc(), TIFFOpenOptionsFree);
+  TIFFOpenOptionsSetErrorHandlerExtR(quietly.get(), SayNothing, nullptr);
+  TIFFOpenOptionsSetWarningHandlerExtR(quietly.get(), SayNothing, nullptr);
+  TIFF* tiff = TIFFClientOpenExt(path.c_str(), big ? "w8" : "w", encoder_->file.stream(), Read,
+                                 Write, Seek, Close, Size, nullptr, nullptr, quietly.get());
   encoder_->tiff = tiff;
   encoder_->Check(tiff != nullptr);
   encoder_->row.resize(shape.RowBytes());
@@ -81,12 +92,14 @@ TiffWriter::TiffWriter(const std::filesystem::path& path, const ImageShape& shap
 TiffWriter::~TiffWriter() = default;
 
 void TiffWriter::WriteRow(const uint8_t* row) {
+  errno = 0;
   encoder_->row.assign(row, row + encoder_->row.size());
   encoder_->Check(
       TIFFWriteScanline(encoder_->tiff, encoder_->row.data(), encoder_->next_row++, 0) == 1);
 }
 
 void TiffWriter::Finish() {
+  errno = 0;
   encoder_->Check(TIFFWriteDirectory(encoder_->tiff) == 1);
   encoder_->Check(std::ferror(encoder_->file.stream()) == 0);
   TIFFClose(encoder_->tiff);  // writes nothing more

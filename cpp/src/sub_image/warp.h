@@ -47,7 +47,7 @@ class Warp : public RowSink {
   Rectangle window_;
   ImageShape source_;
   Interpolation interpolation_;
-  SampleRow sample_row_;
+  warp::SampleRow sample_row_;
   int64_t first_row_ = 0;
   int64_t expected_end_ = 0;
   std::unique_ptr<RowSink> next_;

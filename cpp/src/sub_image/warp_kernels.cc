@@ -64,8 +64,8 @@ struct Corners {
 };
 
 template <int kChannels>
-void Bilinear8(const SourceRows& source, const int32_t* x, const int32_t* y, int64_t count,
-               uint8_t* out) {
+void Bilinear8(const SourceRows& source, int /*channels*/, const int32_t* x, const int32_t* y,
+               int64_t count, uint8_t* out) {
   Corners corners;
   uint8_t planes[kChannels][kChunk];
   for (; count > 0; count -= kChunk, x += kChunk, y += kChunk) {

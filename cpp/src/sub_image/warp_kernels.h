@@ -18,6 +18,11 @@ struct SourceRows {
   int32_t height;
 };
 
+// Samples of `count` pixels of a photograph at positions (x, y) in sub-pixels (sub_pixels.h) into
+// `out`, pixels of the photograph's kind with `channels` samples.
+using SampleRow = void (*)(const SourceRows& source, int channels, const int32_t* x,
+                           const int32_t* y, int64_t count, uint8_t* out);
+
 struct Kernels {
   // Positions of `count` pixels from first_column on: the cubics c[0] + c[1] t + c[2] t^2 + c[3]
   // t^3 (pixels) at t = column * nodes_per_pixel - first_node, in sub-pixels.
@@ -25,12 +30,10 @@ struct Kernels {
                     double nodes_per_pixel, double first_node, int64_t count, int32_t* x,
                     int32_t* y);
 
-  // Bilinear samples of 8-bit photographs at positions (x, y) in sub-pixels, rounded to nearest;
-  // black beyond the outermost pixel centres.
-  void (*bilinear_grey8)(const SourceRows& source, const int32_t* x, const int32_t* y,
-                         int64_t count, uint8_t* out);
-  void (*bilinear_rgb8)(const SourceRows& source, const int32_t* x, const int32_t* y, int64_t count,
-                        uint8_t* out);
+  // Bilinear, of 8-bit photographs with one and with three channels, rounded to nearest; black
+  // beyond the outermost pixel centres.
+  SampleRow bilinear_grey8;
+  SampleRow bilinear_rgb8;
 };
 
 const Kernels& BestKernels();
