@@ -287,6 +287,48 @@ def test_grid_for_side_counts_the_overlap() -> None:
         grid_for_side(sizes, 20, 10)
 
 
+def test_grid_for_side_keeps_to_it_when_files_are_grown() -> None:
+    sizes = [(91, 70)]
+    assert grid_for_side(sizes, 40, 0, 32) == Grid(3, 3)
+    assert grid_for_side(sizes, 95, 4, 32) == Grid(2, 2)
+    assert grid_for_side(sizes, 91, 0, 1) == Grid(1, 1)
+    with pytest.raises(InputError, match=r"leaves no pixel in sides that .* 32: give at least 32"):
+        grid_for_side(sizes, 31, 0, 32)
+    with pytest.raises(InputError, match=r"overlaps of 16 pixels in sides .* give at least 64"):
+        grid_for_side(sizes, 63, 16, 32)
+
+
+@pytest.mark.parametrize("overlap", [0, 3])
+def test_no_mvsnet_image_is_larger_than_asked_for(
+    inputs: list[str], tmp_path: Path, overlap: int
+) -> None:
+    size = ["--max_sub_image_size=40", f"--sub_image_overlap={overlap}"]
+    assert main([*inputs, *size, "--output_type=MVSNET"]) == 0
+    for image in (tmp_path / "out" / "images").glob("0*"):
+        assert pycolmap.Bitmap.read(image, True).to_array().shape[:2] == (32, 32)
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        [],
+        ["--sub_image_overlap=12"],
+        ["--output_type=MVSNET"],
+        ["--output_type=MVSNET", "--sub_image_overlap=5", "--sub_image_roi=20,10,190,150"],
+    ],
+)
+def test_the_memory_is_for_what_is_stored(
+    inputs: list[str], tmp_path: Path, extra: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another engine holds 200 bytes for each pixel of a file."""
+    monkeypatch.setattr("sirpy.planning._SMALLEST_SIDE", 32)
+    for side in (128, 140, 400):
+        assert main([*inputs, f"--memory={200 * side * side}", *extra]) == 0
+        model = pycolmap.Reconstruction(tmp_path / "out" / "sparse")
+        largest = max(camera.width * camera.height for camera in model.cameras.values())
+        assert largest <= side * side
+
+
 def test_16_bit_photographs_are_refused_where_the_engine_takes_jpeg(
     inputs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
