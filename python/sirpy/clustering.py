@@ -11,7 +11,6 @@ finest GSD (depth / focal length, within 10 %), and three that see it in all, or
 from __future__ import annotations
 
 import heapq
-import json
 import shutil
 from collections import deque
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy.errors import InputError
-from sirpy.files import write_json, written_whole
+from sirpy.files import read_json, write_json, written_whole
 from sirpy.native_scene import Floats, Indices, NativeScene, read_native_scene
 from sirpy.workspace import NativeImage, Workspace
 
@@ -149,16 +148,19 @@ def _of_several(sub_images: int, point: Indices, node: Indices, gsd: Floats) -> 
 
 
 def read_clusters(workspace: Workspace) -> list[list[str]]:
-    """Names of the sub-images of each cluster that was written; empty where none were."""
+    """Names of the sub-images of each cluster that was written; empty where none were.
+
+    Raises:
+        InputError: clusters.json is damaged.
+    """
     try:
-        index = json.loads(workspace.clusters_index.read_text(encoding="utf-8"))
+        return read_json(
+            workspace.clusters_index,
+            lambda index: [list(map(str, one["sub_images"])) for one in index["clusters"]],
+            "run `sirpy clusters` again",
+        )
     except FileNotFoundError:
         return []
-    except ValueError as error:
-        raise InputError(
-            f"{workspace.clusters_index} is damaged ({error}): run `sirpy clusters` again"
-        ) from None
-    return [cluster["sub_images"] for cluster in index["clusters"]]
 
 
 def cover(seen: Visibility, cluster_size: int) -> list[list[int]]:

@@ -8,7 +8,6 @@ no match is lost at a border of the grid.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy.errors import InputError
-from sirpy.files import fingerprint, write_json, written_whole
+from sirpy.files import fingerprint, read_json, write_json, written_whole
 from sirpy.native_scene import (
     Floats,
     Indices,
@@ -134,27 +133,38 @@ def read_views(workspace: Workspace) -> Views:
     """What `views` wrote.
 
     Raises:
-        InputError: the workspace has no views.json yet.
+        InputError: the workspace has no views.json yet, or it is damaged.
     """
+    mend = "delete it and run `sirpy views` again"
     try:
-        stored: dict[str, Any] = json.loads(workspace.views.read_text(encoding="utf-8"))
+        found = read_json(workspace.views, _parsed_views, mend)
     except FileNotFoundError:
         raise InputError(
             f"{workspace.folder} has no views.json: run `sirpy views` before stereo and fusion"
         ) from None
-    return Views(
-        {
-            one["name"]: SubImageViews(
-                one["name"],
-                Rectangle(*one["window"]),
-                one["min_depth"],
-                one["max_depth"],
-                tuple(Source(s["name"], Rectangle(*s["window"])) for s in one["sources"]),
-            )
-            for one in stored["sub_images"]
-        },
-        stored["rank"],
-    )
+    natives = {native.name for native in workspace.natives}
+    sub_images = {sub.name for _, sub in workspace.sub_images()}
+    sources = {source.name for one in found.sub_images.values() for source in one.sources}
+    if found.sub_images.keys() != sub_images or not natives | sources <= found.rank.keys():
+        raise InputError(f"{workspace.views} is of other sub-images than sir.json: {mend}")
+    return found
+
+
+def _parsed_views(stored: Any) -> Views:
+    found = [
+        SubImageViews(
+            str(one["name"]),
+            Rectangle(*map(int, one["window"])),
+            float(one["min_depth"]),
+            float(one["max_depth"]),
+            tuple(
+                Source(str(s["name"]), Rectangle(*map(int, s["window"]))) for s in one["sources"]
+            ),
+        )
+        for one in stored["sub_images"]
+    ]
+    rank = {str(name): int(value) for name, value in stored["rank"].items()}
+    return Views({one.name: one for one in found}, rank)
 
 
 def aligned(window: Rectangle, image: Rectangle) -> Rectangle:
