@@ -100,8 +100,8 @@ def write_dense_folder(
     }
     # What COLMAP writes here belongs to this cut: cutting anew clears it away.
     inputs = fingerprint("colmap", source_images, min_points, workspace.fingerprint_of("cut"))
-    if not workspace.begin_stage("views", inputs):
-        workspace.begin_stage("stereo", inputs)
+    for stage in ("views", "stereo", "fuse"):
+        workspace.begin_stage(stage, inputs)
     names = sorted(sub.name for _, sub in workspace.sub_images())
     # COLMAP does not make the folders of a name.
     for parent in sorted({str(PurePosixPath(name).parent) for name in names}):

@@ -246,6 +246,32 @@ def test_the_same_again_keeps_the_depth_maps_and_another_grid_does_not(
     assert not made_by_colmap.exists()
 
 
+def test_after_colmap_has_run_it_can_be_cut_again(inputs: list[str], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(inputs) == 0
+    scripts = [out / f"run-colmap-{kind}.sh" for kind in ("geometric", "photometric")]
+    made = [
+        *(out / name for name in ("fused.ply", "fused.ply.vis", "meshed-poisson.ply")),
+        out / "stereo" / "consistency_graphs" / "1_r00_c00.jpg.geometric.bin",
+        out / "stereo" / "depth_maps" / "1_r00_c00.jpg.geometric.bin",
+    ]
+    assert all(f'"$workspace/{path.name}"' in scripts[0].read_text() for path in made[:3:2])
+    for path in made:
+        path.touch()
+    assert main(inputs) == 0
+    assert all(path.exists() for path in made)
+    assert main([*inputs, "--num_patch_match_src_images=3"]) == 0
+    assert not any(path.exists() for path in made)
+    for path in made:
+        path.touch()
+    assert main([*inputs, "--sub_image_rows=2"]) == 0
+    assert not any(path.exists() for path in made)
+    assert all(path.exists() for path in scripts)
+    # An engine that has no use for them leaves nothing of theirs behind.
+    assert main([*inputs, "--output_type=PMVS"]) == 0
+    assert not any(path.exists() for path in [*scripts, out / "stereo" / "patch-match.cfg"])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
