@@ -289,6 +289,8 @@ def clusters(
     folder = Workspace(workspace)
     found = run(folder, cluster_size=cluster_size)
     print(f"clusters: {folder.clusters} ({len(found)} of at most {cluster_size} sub-images)")
+    if folder.pmvs.exists():
+        print(f"{folder.pmvs} has no groups of them yet: run `sirpy export {workspace} PMVS`")
 
 
 @app.command()

@@ -11,7 +11,6 @@ finest GSD (depth / focal length, within 10 %), and three that see it in all, or
 from __future__ import annotations
 
 import heapq
-import shutil
 from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
@@ -85,6 +84,8 @@ class Visibility:
 
 def clusters(workspace: Workspace, *, cluster_size: int = 20) -> list[list[str]]:
     """Groups the sub-images of a workspace; writes clusters.json and clusters/cluster_NNNN.txt.
+
+    Earlier clusters are removed, with the groups that PMVS had of them: export again for PMVS.
 
     Every sub-image is in at least one cluster. One without points that others see too joins a cluster
     of its neighbours in the photograph.
@@ -343,8 +344,7 @@ def add_pointless(
 def _write(
     workspace: Workspace, named: list[list[str]], points: list[int], cluster_size: int
 ) -> None:
-    workspace.clusters_index.unlink(missing_ok=True)
-    shutil.rmtree(workspace.clusters, ignore_errors=True)
+    workspace.remove_clusters()
     digits = max(4, len(str(len(named) - 1)))
     index = []
     for number, (names, covered) in enumerate(zip(named, points, strict=True)):

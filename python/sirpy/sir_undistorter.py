@@ -94,6 +94,8 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
     )
     if options.cluster_size is not None:
         clusters(workspace, cluster_size=options.cluster_size)
+    else:
+        workspace.remove_clusters()
     export(
         workspace,
         options.output_type,

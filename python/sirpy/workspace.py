@@ -256,8 +256,13 @@ class Workspace:
 
     @property
     def pmvs(self) -> Path:
-        """The data folder of PMVS; what is in it is named by `pmvs.py` alone."""
+        """The data folder of PMVS; what else is in it is named by `pmvs.py` alone."""
         return self.folder / "pmvs"
+
+    @property
+    def pmvs_groups(self) -> list[Path]:
+        """The options of PMVS for single clusters, as far as there are some."""
+        return sorted(self.pmvs.glob("option-[0-9]*"))
 
     @property
     def pmvs_script(self) -> Path:
@@ -380,6 +385,11 @@ class Workspace:
         for native in self.natives:
             for sub_image in native.sub_images:
                 yield native, sub_image
+
+    def remove_clusters(self) -> None:
+        """Also the groups of PMVS, which are made of them."""
+        for path in (self.clusters_index, self.clusters, *self.pmvs_groups):
+            _remove(path)
 
     # ---- stages
     def begin_stage(self, stage: str, fingerprint: str) -> bool:

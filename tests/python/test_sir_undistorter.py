@@ -246,6 +246,16 @@ def test_the_same_again_keeps_the_depth_maps_and_another_grid_does_not(
     assert not made_by_colmap.exists()
 
 
+def test_the_same_without_clusters_has_none(inputs: list[str], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = [*inputs, "--output_type=PMVS", "--sub_image_rows=4", "--sub_image_columns=2"]
+    assert main([*arguments, "--cluster_size=5"]) == 0
+    assert len(list((out / "pmvs").glob("option-0*"))) == len(list((out / "clusters").iterdir()))
+    assert main(arguments) == 0
+    assert [path.name for path in (out / "pmvs").glob("option-*")] == ["option-all"]
+    assert not (out / "clusters").exists() and not (out / "clusters.json").exists()
+
+
 def test_after_colmap_has_run_it_can_be_cut_again(inputs: list[str], tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(inputs) == 0
