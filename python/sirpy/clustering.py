@@ -19,9 +19,11 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.colmap_lists import is_listable, names_note
 from sirpy.errors import InputError
 from sirpy.files import read_json, write_json, written_whole
 from sirpy.native_scene import Floats, Indices, NativeScene, read_native_scene
+from sirpy.progress import Progress
 from sirpy.workspace import NativeImage, Workspace
 
 _ENOUGH = 3  # sub-images of different photographs that see a point: the finest and two to match it against
@@ -82,7 +84,9 @@ class Visibility:
         return points[has_fine & (views >= self.enough[points])]
 
 
-def clusters(workspace: Workspace, *, cluster_size: int = 20) -> list[list[str]]:
+def clusters(
+    workspace: Workspace, *, cluster_size: int = 20, progress: Progress = Progress()
+) -> list[list[str]]:
     """Groups the sub-images of a workspace; writes clusters.json and clusters/cluster_NNNN.txt.
 
     Earlier clusters are removed, with the groups that PMVS had of them: export again for PMVS.
@@ -107,6 +111,8 @@ def clusters(workspace: Workspace, *, cluster_size: int = 20) -> list[list[str]]
     add_pointless(groups, natives, cluster_size)
     groups = sorted(sorted(group) for group in groups)
     names = [sub.name for _, sub in workspace.sub_images()]
+    if note := names_note(names, sources=False):
+        progress.note(note)
     named = [[names[node] for node in group] for group in groups]
     _write(workspace, named, [len(seen.covered_by(group)) for group in groups], cluster_size)
     return named
@@ -350,7 +356,8 @@ def _write(
     for number, (names, covered) in enumerate(zip(named, points, strict=True)):
         name = f"cluster_{number:0{digits}}"
         with written_whole(workspace.cluster(name)) as path:
-            path.write_text("".join(f"{one}\n" for one in names), encoding="utf-8")
+            listed = filter(is_listable, names)
+            path.write_text("".join(f"{one}\n" for one in listed), encoding="utf-8")
         index.append({"name": name, "points": covered, "sub_images": names})
     write_json(
         workspace.clusters_index, {"version": 1, "cluster_size": cluster_size, "clusters": index}

@@ -93,7 +93,7 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         progress=progress,
     )
     if options.cluster_size is not None:
-        clusters(workspace, cluster_size=options.cluster_size)
+        clusters(workspace, cluster_size=options.cluster_size, progress=progress)
     else:
         workspace.remove_clusters()
     export(

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.colmap_lists import is_listable, is_source, names_note
 from sirpy.errors import InputError
 from sirpy.files import fingerprint, read_json, write_json, written_whole
 from sirpy.native_scene import (
@@ -119,6 +120,8 @@ def views(
         )
     result = Views(found, _ranks(scene))
     _write_colmap_lists(workspace, result)
+    if progress and (note := names_note(found, sources=True)):
+        progress.note(note)
     _write_views(workspace.views, result)
     return result
 
@@ -372,10 +375,14 @@ def _write_colmap_lists(workspace: Workspace, found: Views) -> None:
             for order, source in enumerate(one.sources)
             for sub in natives[source.name].sub_images
         ]
-        best = sorted((-area, order, name) for area, order, name in touched if area)
-        if best:
+        best = sorted(
+            (-area, order, name) for area, order, name in touched if area and is_source(name)
+        )
+        if best and is_listable(one.name):
             lines += [one.name, ", ".join(name for _, _, name in best[:_SOURCE_SUB_IMAGES])]
-    listed = [one.name for one in found.sub_images.values() if one.sources]
+    listed = [
+        one.name for one in found.sub_images.values() if one.sources and is_listable(one.name)
+    ]
     for path, text in ((workspace.patch_match_config, lines), (workspace.fusion_config, listed)):
         with written_whole(path) as temporary:
             temporary.write_text("\n".join(text) + "\n", encoding="utf-8")
