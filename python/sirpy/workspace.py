@@ -355,8 +355,8 @@ class Workspace:
             )
         natives = tuple(_parsed_native(image) for image in index["images"])
         left_out = [LeftOut(str(out["name"]), str(out["reason"])) for out in index["left_out"]]
-        if not natives or not all(native.sub_images for native in natives):
-            raise ValueError("an image without sub-images, or no image at all")
+        if not all(native.sub_images for native in natives):
+            raise ValueError("an image without sub-images")
         return natives, tuple(left_out)
 
     @property
