@@ -284,11 +284,14 @@ def clusters(
 ) -> None:
     """Groups of overlapping sub-images that can be reconstructed one by one."""
     from sirpy.clustering import clusters as run
+    from sirpy.progress import make_progress
     from sirpy.workspace import Workspace
 
     folder = Workspace(workspace)
-    found = run(folder, cluster_size=cluster_size)
+    found = run(folder, cluster_size=cluster_size, progress=make_progress(quiet=False))
     print(f"clusters: {folder.clusters} ({len(found)} of at most {cluster_size} sub-images)")
+    if folder.pmvs.exists():
+        print(f"{folder.pmvs} has no groups of them yet: run `sirpy export {workspace} PMVS`")
 
 
 @app.command()

@@ -11,8 +11,6 @@ finest GSD (depth / focal length, within 10 %), and three that see it in all, or
 from __future__ import annotations
 
 import heapq
-import json
-import shutil
 from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,9 +19,11 @@ from itertools import count
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.colmap_lists import is_listable, names_note
 from sirpy.errors import InputError
-from sirpy.files import write_json, written_whole
+from sirpy.files import read_json, write_json, written_whole
 from sirpy.native_scene import Floats, Indices, NativeScene, read_native_scene
+from sirpy.progress import Progress
 from sirpy.workspace import NativeImage, Workspace
 
 _ENOUGH = 3  # sub-images of different photographs that see a point: the finest and two to match it against
@@ -84,8 +84,12 @@ class Visibility:
         return points[has_fine & (views >= self.enough[points])]
 
 
-def clusters(workspace: Workspace, *, cluster_size: int = 20) -> list[list[str]]:
+def clusters(
+    workspace: Workspace, *, cluster_size: int = 20, progress: Progress = Progress()
+) -> list[list[str]]:
     """Groups the sub-images of a workspace; writes clusters.json and clusters/cluster_NNNN.txt.
+
+    Earlier clusters are removed, with the groups that PMVS had of them: export again for PMVS.
 
     Every sub-image is in at least one cluster. One without points that others see too joins a cluster
     of its neighbours in the photograph.
@@ -107,6 +111,8 @@ def clusters(workspace: Workspace, *, cluster_size: int = 20) -> list[list[str]]
     add_pointless(groups, natives, cluster_size)
     groups = sorted(sorted(group) for group in groups)
     names = [sub.name for _, sub in workspace.sub_images()]
+    if note := names_note(names, sources=False):
+        progress.note(note)
     named = [[names[node] for node in group] for group in groups]
     _write(workspace, named, [len(seen.covered_by(group)) for group in groups], cluster_size)
     return named
@@ -149,16 +155,19 @@ def _of_several(sub_images: int, point: Indices, node: Indices, gsd: Floats) -> 
 
 
 def read_clusters(workspace: Workspace) -> list[list[str]]:
-    """Names of the sub-images of each cluster that was written; empty where none were."""
+    """Names of the sub-images of each cluster that was written; empty where none were.
+
+    Raises:
+        InputError: clusters.json is damaged.
+    """
     try:
-        index = json.loads(workspace.clusters_index.read_text(encoding="utf-8"))
+        return read_json(
+            workspace.clusters_index,
+            lambda index: [list(map(str, one["sub_images"])) for one in index["clusters"]],
+            "run `sirpy clusters` again",
+        )
     except FileNotFoundError:
         return []
-    except ValueError as error:
-        raise InputError(
-            f"{workspace.clusters_index} is damaged ({error}): run `sirpy clusters` again"
-        ) from None
-    return [cluster["sub_images"] for cluster in index["clusters"]]
 
 
 def cover(seen: Visibility, cluster_size: int) -> list[list[int]]:
@@ -341,14 +350,14 @@ def add_pointless(
 def _write(
     workspace: Workspace, named: list[list[str]], points: list[int], cluster_size: int
 ) -> None:
-    workspace.clusters_index.unlink(missing_ok=True)
-    shutil.rmtree(workspace.clusters, ignore_errors=True)
+    workspace.remove_clusters()
     digits = max(4, len(str(len(named) - 1)))
     index = []
     for number, (names, covered) in enumerate(zip(named, points, strict=True)):
         name = f"cluster_{number:0{digits}}"
         with written_whole(workspace.cluster(name)) as path:
-            path.write_text("".join(f"{one}\n" for one in names), encoding="utf-8")
+            listed = filter(is_listable, names)
+            path.write_text("".join(f"{one}\n" for one in listed), encoding="utf-8")
         index.append({"name": name, "points": covered, "sub_images": names})
     write_json(
         workspace.clusters_index, {"version": 1, "cluster_size": cluster_size, "clusters": index}

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import get_args
 
+from sirpy.colmap_lists import is_listable, is_source, names_note
 from sirpy.engine_views import EngineView, engine_views
 from sirpy.files import fingerprint, write_text
 from sirpy.native_scene import NativeScene, read_native_scene
@@ -96,18 +97,20 @@ def write_dense_folder(
         sub.name
         for native in natives
         for sub in native.sub_images
-        if points_seen(scene, native.name, sub.stored) < min_points
+        if is_listable(sub.name) and points_seen(scene, native.name, sub.stored) < min_points
     }
     # What COLMAP writes here belongs to this cut: cutting anew clears it away.
     inputs = fingerprint("colmap", source_images, min_points, workspace.fingerprint_of("cut"))
-    if not workspace.begin_stage("views", inputs):
-        workspace.begin_stage("stereo", inputs)
+    for stage in ("views", "stereo", "fuse"):
+        workspace.begin_stage(stage, inputs)
     names = sorted(sub.name for _, sub in workspace.sub_images())
     # COLMAP does not make the folders of a name.
     for parent in sorted({str(PurePosixPath(name).parent) for name in names}):
         for folder in map(workspace.stereo_folder, get_args(MapFolder)):
             (folder / parent).mkdir(parents=True, exist_ok=True)
-    listed = [name for name in names if name not in few]
+    if note := names_note(names, sources=bool(few)):
+        progress.note(note)
+    listed = [name for name in names if name not in few and is_listable(name)]
     given = _write_few_points(workspace, scene, few, source_images, progress) if few else []
     write_text(
         workspace.patch_match_config,
@@ -134,8 +137,7 @@ def _write_few_points(
         workspace, most_sources=source_images, only=few, scene=scene, progress=progress
     ):
         sources = [names[number] for number, _ in view.sources]
-        # COLMAP takes a comma for the end of a name.
-        if listed := ", ".join(name for name in sources if not {",", ";"} & set(name)):
+        if listed := ", ".join(filter(is_source, sources)):
             by_photograph[view.camera.name].append((view, listed))
     for number, group in enumerate(by_photograph.values()):
         lines = [

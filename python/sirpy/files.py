@@ -7,13 +7,15 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from sirpy.engine_options import CopyPolicy
-from sirpy.errors import OutputError
+from sirpy.errors import InputError, OutputError, SirpyError
+
+_T = TypeVar("_T")
 
 
 @contextmanager
@@ -70,6 +72,29 @@ def write_text(path: Path, text: str, *, executable: bool = False) -> None:
 
 def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=1, sort_keys=True) + "\n")
+
+
+def read_json(path: Path, parse: Callable[[Any], _T], mend: str) -> _T:
+    """What `parse` makes of the value in a JSON file.
+
+    Args:
+        parse: may fail in any way on a value that is not as it should be.
+        mend: the end of the sentence about a damaged file.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        InputError: it is no JSON, or nothing that `parse` understands.
+    """
+    try:
+        return parse(json.loads(path.read_text(encoding="utf-8")))
+    except (FileNotFoundError, SirpyError):
+        raise
+    except (
+        *(OSError, LookupError, TypeError, ValueError),
+        *(AttributeError, ArithmeticError, RecursionError),
+    ) as error:
+        what = f"it has no {error}" if isinstance(error, KeyError) else error
+        raise InputError(f"{path} is damaged ({what}): {mend}") from None
 
 
 def fingerprint(*parts: Any) -> str:

@@ -7,7 +7,6 @@ network.
 from __future__ import annotations
 
 import base64
-import json
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -18,8 +17,7 @@ import numpy as np
 from sirpy import overview
 from sirpy.cloud_picture import draw_cloud, mean_view
 from sirpy.dense_stereo import count_reasons
-from sirpy.errors import InputError
-from sirpy.files import written_whole
+from sirpy.files import read_json, written_whole
 from sirpy.model_arrays import read_arrays
 from sirpy.pictures import depth_colours, encoded_jpeg
 from sirpy.ply import read_vertices
@@ -87,12 +85,9 @@ def report(workspace: Workspace) -> Path:
 def _read_run(path: Path) -> dict[str, Any]:
     """What `reconstruct` noted; empty after single stages."""
     try:
-        run: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return read_json(path, lambda run: {**run}, "run the same command again")
     except FileNotFoundError:
         return {}
-    except ValueError as error:
-        raise InputError(f"{path} is damaged ({error}): run the same command again") from None
-    return run
 
 
 def _reasons(workspace: Workspace) -> dict[str, dict[str, int]]:

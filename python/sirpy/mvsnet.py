@@ -58,12 +58,27 @@ def write_mvsnet(
     write_text(workspace.mvsnet_pairs, _pairs(views))
     notes = (
         size_note(views, _ENGINE),
+        _multiple_note(views),
         precision_note(views, _ENGINE),
         grey_note(workspace, views, _ENGINE),
     )
     for note in notes:
         if note:
             progress.note(note)
+
+
+def _multiple_note(views: Iterable[EngineView]) -> str:
+    """What to know where the networks would resample or crop the images; empty if they do not."""
+    for view in views:
+        width, height = view.sub_image.stored.width, view.sub_image.stored.height
+        if width % SIZE_MULTIPLE or height % SIZE_MULTIPLE:
+            return (
+                f"{_ENGINE} and its relatives resize or crop images whose sides are no multiple of "
+                f"{SIZE_MULTIPLE} pixels, and {view.sub_image.name} has {width}x{height}: cut with "
+                f"--same-size {SIZE_MULTIPLE}, and into more columns and rows where a photograph "
+                "is not cut along a side"
+            )
+    return ""
 
 
 def _camera(view: EngineView, depths: MvsnetDepths) -> str:

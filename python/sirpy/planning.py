@@ -188,21 +188,35 @@ def _coarsest(
     return candidates[high], peaks[high]
 
 
-def grid_for_memory(sizes: list[tuple[int, int]], memory: int) -> Grid:
+def grid_for_memory(
+    sizes: list[tuple[int, int]], memory: int, *, overlap: int = 0, multiple: int = 0
+) -> Grid:
     """A grid for images of these sizes whose sub-images other stereo engines can hold in `memory` bytes.
+
+    Args:
+        sizes: (width, height) in pixels of what is cut and may be stored.
+        overlap, multiple: `overlap` and `same_size` of `cut`, pixels: what is stored counts.
 
     Raises:
         BudgetError: not even the smallest sub-images would fit.
     """
     width, height = max(w for w, _ in sizes), max(h for _, h in sizes)
+
+    def stored(side: int, parts: int) -> int:
+        # A part has a neighbour on both sides, on one of them, or none.
+        grown = min(side, -(-side // parts) + min(parts - 1, 2) * overlap)
+        return min(side, -(-grown // multiple) * multiple) if multiple else grown
+
+    least = None
     for candidate in _grids(width, height):
-        area = -(-width // candidate.columns) * -(-height // candidate.rows)
+        area = stored(width, candidate.columns) * stored(height, candidate.rows)
         if _ENGINE_BYTES_PER_PIXEL * area <= memory:
             return candidate
-    least = _ENGINE_BYTES_PER_PIXEL * _SMALLEST_SIDE**2
+        least = min(least or area, area)
+    assert least is not None  # there is always a 1x1 grid
     raise BudgetError(
         f"--memory {gigabytes(memory)} is too little for any sub-image: the least that would do is "
-        f"{gigabytes(least)}"
+        f"{gigabytes(_ENGINE_BYTES_PER_PIXEL * least)}"
     )
 
 

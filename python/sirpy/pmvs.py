@@ -88,7 +88,7 @@ def write_pmvs(
             _write_mask(folder / "masks" / f"{view.number:08}.pgm", workspace, view)
     (folder / "models").mkdir(exist_ok=True)  # PMVS writes its results there
     write_text(folder / "vis.dat", _visibility(views))
-    _write_options(folder, [view.number for view in views], groups)
+    _write_options(workspace, [view.number for view in views], groups)
     write_text(workspace.pmvs_script, _SCRIPT, executable=True)
     for note in (precision_note(views, _ENGINE), grey_note(workspace, views, _ENGINE)):
         if note:
@@ -114,15 +114,15 @@ def _numbers(cluster: Sequence[str], numbers: dict[str, int], workspace: Workspa
     return sorted(numbers[name] for name in cluster)
 
 
-def _write_options(folder: Path, everything: list[int], groups: list[list[int]]) -> None:
-    for old in folder.glob("option-[0-9]*"):
+def _write_options(workspace: Workspace, everything: list[int], groups: list[list[int]]) -> None:
+    for old in workspace.pmvs_groups:
         old.unlink()
     cores = os.cpu_count() or 1
     named = {f"option-{index:04}": group for index, group in enumerate(groups)}
     for name, images in {"option-all": everything, **named}.items():
         listed = " ".join(map(str, images))
         text = _OPTIONS.format(cores=cores, count=len(images), images=listed)
-        write_text(folder / name, text)
+        write_text(workspace.pmvs / name, text)
 
 
 def _visibility(views: Iterable[EngineView]) -> str:

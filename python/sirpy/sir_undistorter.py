@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from sirpy.errors import InputError, SirpyError
 from sirpy.progress import Progress, make_progress
-from sirpy.rectangle import Grid
+from sirpy.rectangle import Grid, Rectangle
 from sirpy.undistorter_options import Options, parse
 
 if TYPE_CHECKING:
@@ -93,7 +93,9 @@ def sir_undistorter(options: Options, progress: Progress) -> None:
         progress=progress,
     )
     if options.cluster_size is not None:
-        clusters(workspace, cluster_size=options.cluster_size)
+        clusters(workspace, cluster_size=options.cluster_size, progress=progress)
+    else:
+        workspace.remove_clusters()
     export(
         workspace,
         options.output_type,
@@ -162,34 +164,48 @@ def _grid(
     from sirpy.lens import undistorted_camera
 
     cameras = {i: undistorted_camera(camera, undistort) for i, camera in model.cameras.items()}
-    cut = [region.roi_of(image.name) or cameras[image.camera_id] for image in model.images]
-    sizes = [(one.width, one.height) for one in cut]
+    overlap, multiple = options.sub_image_overlap, _size_multiple(options.output_type)
+    sizes = []
+    for image in model.images:
+        whole = Rectangle(0, 0, cameras[image.camera_id].width, cameras[image.camera_id].height)
+        roi = region.roi_of(image.name) or whole
+        if multiple:  # the files grow beyond the region
+            width, height = (-(-side // multiple) * multiple for side in (roi.width, roi.height))
+            roi = roi.grown(width, height, whole)
+        sizes.append((roi.width, roi.height))
     if options.memory is not None:
         from sirpy.memory import parse_memory
         from sirpy.planning import grid_for_memory
 
-        return grid_for_memory(sizes, parse_memory(options.memory))
+        budget = parse_memory(options.memory)
+        return grid_for_memory(sizes, budget, overlap=overlap, multiple=multiple)
     assert options.max_sub_image_size is not None
-    return grid_for_side(sizes, options.max_sub_image_size, options.sub_image_overlap)
+    return grid_for_side(sizes, options.max_sub_image_size, overlap, multiple)
 
 
-def grid_for_side(sizes: list[tuple[int, int]], longest_side: int, overlap: int) -> Grid:
-    """The fewest sub-images whose files, overlap included, are at most `longest_side` pixels.
+def grid_for_side(
+    sizes: list[tuple[int, int]], longest_side: int, overlap: int, multiple: int = 0
+) -> Grid:
+    """The fewest sub-images whose files are at most `longest_side` pixels, overlap included.
 
     Args:
         sizes: (width, height) of the undistorted images in pixels.
+        multiple: the files are grown to a multiple of so many pixels, if not 0.
 
     Raises:
-        InputError: the overlap leaves no pixels.
+        InputError: the overlap leaves no pixels, or no multiple is as small.
     """
-    core = longest_side - 2 * overlap
-    if core < 1:
-        raise InputError(
-            f"--max_sub_image_size {longest_side} leaves nothing between overlaps of {overlap} "
-            f"pixels: give at least {2 * overlap + 1}"
-        )
-    columns = max(_parts(width, longest_side, core) for width, _ in sizes)
-    rows = max(_parts(height, longest_side, core) for _, height in sizes)
+    multiple = multiple or 1
+    longest = longest_side // multiple * multiple
+    if longest <= 2 * overlap:
+        least = -(-(2 * overlap + 1) // multiple) * multiple
+        why = f"nothing between overlaps of {overlap} pixels" if overlap else "no pixel"
+        if multiple > 1:
+            why += f" in sides that are a multiple of {multiple}"
+        raise InputError(f"--max_sub_image_size {longest_side} leaves {why}: give at least {least}")
+    core = longest - 2 * overlap
+    columns = max(_parts(width, longest, core) for width, _ in sizes)
+    rows = max(_parts(height, longest, core) for _, height in sizes)
     return Grid(columns, rows)
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from sirpy.errors import BudgetError, InputError
-from sirpy.files import file_identity, fingerprint, write_json
+from sirpy.files import file_identity, fingerprint, read_json, write_json
 from sirpy.memory import gigabytes
 from sirpy.model_files import model_identity, read_model
 from sirpy.photographs import check_folders, decimate, find_photographs, photograph_size
@@ -327,10 +327,8 @@ def _rows(database: Path, table: str) -> int:
 
 
 def _read_left_out(workspace: Workspace) -> list[LeftOut]:
-    try:
-        entries = json.loads(workspace.sfm_left_out.read_text(encoding="utf-8"))
-        return [LeftOut(entry["name"], entry["reason"]) for entry in entries]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{workspace.sfm_left_out} is damaged ({error}): delete {workspace.sfm} and run again"
-        ) from None
+    return read_json(
+        workspace.sfm_left_out,
+        lambda entries: [LeftOut(str(one["name"]), str(one["reason"])) for one in entries],
+        f"delete {workspace.sfm} and run again",
+    )

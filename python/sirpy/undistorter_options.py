@@ -89,11 +89,11 @@ def parse(arguments: list[str]) -> Options:
     parser = _parser()
     project = _project_file(arguments)
     # The project file comes first, so that the command line has the last word.
-    names = vars(parser.parse_args([]))
-    known = {name: value for name, value in project.items() if name in names}
+    defaults = vars(parser.parse_args([]))
+    known = {name: value for name, value in project.items() if name in defaults}
     given = [f"--{name}={value}" for name, value in known.items()] + arguments
     values = vars(parser.parse_args(given))
-    notes = _notes(values)
+    notes = _notes(values, defaults)
     if others := [name for name in project if name not in known]:
         some = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
         notes.append(f"not used from the project file, being of other commands: {some}")
@@ -108,6 +108,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="colmap sir_undistorter",
+        allow_abbrev=False,  # or --project would be taken for --project_path, and not be read
         description="Undistorts the photographs of a sparse model and cuts them into sub-images, "
         "each with its own recapture camera: the workspace of dense reconstruction at native "
         "resolution.",
@@ -289,12 +290,24 @@ def _check_range(values: dict[str, Any], name: str, least: int, most: int | None
         raise InputError(f"--{name} = {value}: it must be {bound}")
 
 
-def _notes(values: dict[str, Any]) -> list[str]:
+def _notes(values: dict[str, Any], defaults: dict[str, Any]) -> list[str]:
     """What is accepted and does nothing."""
     notes = []
+    output_type = values["output_type"]
     policy = values["copy_policy"]
-    if values["output_type"] == "COLMAP" and policy is not None and policy.lower() != "copy":
+    if output_type == "COLMAP" and policy is not None and policy.lower() != "copy":
         notes.append(f"--copy_policy {policy} has no effect: every sub-image is a new file")
+    drops = values["few_points"] == "drop"
+    for name, used, where in (
+        ("num_patch_match_src_images", output_type in ("COLMAP", "MVSNET"), "COLMAP and MVSNET"),
+        ("mvsnet_depths", output_type == "MVSNET", "MVSNET"),
+        ("min_points", output_type == "COLMAP" or drops, "COLMAP and --few_points drop"),
+    ):
+        if not used and values[name] != defaults[name]:
+            notes.append(
+                f"--{name} {values[name]} has no effect with --output_type {output_type}: it is "
+                f"for {where}"
+            )
     if without := [name for name in (*_RANDOM, *_LOGGING) if values[name] is not None]:
         verb = "has" if len(without) == 1 else "have"
         notes.append(

@@ -8,7 +8,6 @@ no match is lost at a border of the grid.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,8 +18,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.colmap_lists import is_listable, is_source, names_note
 from sirpy.errors import InputError
-from sirpy.files import fingerprint, write_json, written_whole
+from sirpy.files import fingerprint, read_json, write_json, written_whole
 from sirpy.native_scene import (
     Floats,
     Indices,
@@ -120,6 +120,8 @@ def views(
         )
     result = Views(found, _ranks(scene))
     _write_colmap_lists(workspace, result)
+    if progress and (note := names_note(found, sources=True)):
+        progress.note(note)
     _write_views(workspace.views, result)
     return result
 
@@ -134,27 +136,38 @@ def read_views(workspace: Workspace) -> Views:
     """What `views` wrote.
 
     Raises:
-        InputError: the workspace has no views.json yet.
+        InputError: the workspace has no views.json yet, or it is damaged.
     """
+    mend = "delete it and run `sirpy views` again"
     try:
-        stored: dict[str, Any] = json.loads(workspace.views.read_text(encoding="utf-8"))
+        found = read_json(workspace.views, _parsed_views, mend)
     except FileNotFoundError:
         raise InputError(
             f"{workspace.folder} has no views.json: run `sirpy views` before stereo and fusion"
         ) from None
-    return Views(
-        {
-            one["name"]: SubImageViews(
-                one["name"],
-                Rectangle(*one["window"]),
-                one["min_depth"],
-                one["max_depth"],
-                tuple(Source(s["name"], Rectangle(*s["window"])) for s in one["sources"]),
-            )
-            for one in stored["sub_images"]
-        },
-        stored["rank"],
-    )
+    natives = {native.name for native in workspace.natives}
+    sub_images = {sub.name for _, sub in workspace.sub_images()}
+    sources = {source.name for one in found.sub_images.values() for source in one.sources}
+    if found.sub_images.keys() != sub_images or not natives | sources <= found.rank.keys():
+        raise InputError(f"{workspace.views} is of other sub-images than sir.json: {mend}")
+    return found
+
+
+def _parsed_views(stored: Any) -> Views:
+    found = [
+        SubImageViews(
+            str(one["name"]),
+            Rectangle(*map(int, one["window"])),
+            float(one["min_depth"]),
+            float(one["max_depth"]),
+            tuple(
+                Source(str(s["name"]), Rectangle(*map(int, s["window"]))) for s in one["sources"]
+            ),
+        )
+        for one in stored["sub_images"]
+    ]
+    rank = {str(name): int(value) for name, value in stored["rank"].items()}
+    return Views({one.name: one for one in found}, rank)
 
 
 def aligned(window: Rectangle, image: Rectangle) -> Rectangle:
@@ -362,10 +375,14 @@ def _write_colmap_lists(workspace: Workspace, found: Views) -> None:
             for order, source in enumerate(one.sources)
             for sub in natives[source.name].sub_images
         ]
-        best = sorted((-area, order, name) for area, order, name in touched if area)
-        if best:
+        best = sorted(
+            (-area, order, name) for area, order, name in touched if area and is_source(name)
+        )
+        if best and is_listable(one.name):
             lines += [one.name, ", ".join(name for _, _, name in best[:_SOURCE_SUB_IMAGES])]
-    listed = [one.name for one in found.sub_images.values() if one.sources]
+    listed = [
+        one.name for one in found.sub_images.values() if one.sources and is_listable(one.name)
+    ]
     for path, text in ((workspace.patch_match_config, lines), (workspace.fusion_config, listed)):
         with written_whole(path) as temporary:
             temporary.write_text("\n".join(text) + "\n", encoding="utf-8")

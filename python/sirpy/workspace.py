@@ -21,8 +21,8 @@ OUT/00001.jpg, OUT/00001_P.txt ...                     CMP-MVS
 
 from __future__ import annotations
 
-import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -32,11 +32,15 @@ from typing import Any, Literal
 
 from sirpy import __version__
 from sirpy.errors import InputError, OutputError
-from sirpy.files import write_json
+from sirpy.files import read_json, write_json
 from sirpy.rectangle import Rectangle
 
 Pass = Literal["photometric", "geometric"]
 MapFolder = Literal["depth_maps", "normal_maps", "consistency_graphs"]
+
+_INDEX_VERSION = 2  # of sir.json
+# Names of `files.written_whole` and of the core's writers: .STEM.PID.tmp.EXT
+_UNFINISHED = re.compile(r"\..+\.\d+\.tmp(\.[^.]*)?", re.DOTALL)
 
 # A stage that has to be done again takes with it what later stages made of its output. Names may be
 # patterns.
@@ -62,13 +66,16 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/patch-match.cfg",
         "stereo/fusion.cfg",
         "stereo/few-points",
+        "run-colmap-geometric.sh",
+        "run-colmap-photometric.sh",
     ),
     "stereo": (
         "stereo/depth_maps",
         "stereo/normal_maps",
         "stereo/reason_maps",
+        "stereo/consistency_graphs",
     ),
-    "fuse": ("fusion", "fused.ply", "run.json"),
+    "fuse": ("fusion", "fused.ply", "fused.ply.vis", "meshed-poisson.ply", "run.json"),
     "report": ("report.html", "cloud.png"),
 }
 
@@ -249,8 +256,13 @@ class Workspace:
 
     @property
     def pmvs(self) -> Path:
-        """The data folder of PMVS; what is in it is named by `pmvs.py` alone."""
+        """The data folder of PMVS; what else is in it is named by `pmvs.py` alone."""
         return self.folder / "pmvs"
+
+    @property
+    def pmvs_groups(self) -> list[Path]:
+        """The options of PMVS for single clusters, as far as there are some."""
+        return sorted(self.pmvs.glob("option-[0-9]*"))
 
     @property
     def pmvs_script(self) -> Path:
@@ -301,7 +313,7 @@ class Workspace:
         write_json(
             self.index,
             {
-                "version": 1,
+                "version": _INDEX_VERSION,
                 "images": [
                     {
                         "name": native.name,
@@ -327,42 +339,30 @@ class Workspace:
         )
 
     @cached_property
-    def _index(self) -> dict[str, Any]:
-        path = self.index
+    def _index(self) -> tuple[tuple[NativeImage, ...], tuple[LeftOut, ...]]:
         try:
-            index: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            return read_json(self.index, self._parsed_index, "delete it and cut again")
         except FileNotFoundError:
             raise InputError(
                 f"{self.folder} is not a sirpy workspace (it has no sir.json): "
                 "run `sirpy cut` or `sirpy reconstruct` first"
             ) from None
-        except ValueError as error:
-            raise InputError(f"{path} is damaged ({error}): delete it and cut again") from None
-        return index
 
-    @cached_property
+    def _parsed_index(self, index: Any) -> tuple[tuple[NativeImage, ...], tuple[LeftOut, ...]]:
+        if index["version"] != _INDEX_VERSION:
+            raise InputError(
+                f"{self.index} was made by another version of sirpy: delete it and cut again"
+            )
+        natives = tuple(_parsed_native(image) for image in index["images"])
+        left_out = [LeftOut(str(out["name"]), str(out["reason"])) for out in index["left_out"]]
+        if not all(native.sub_images for native in natives):
+            raise ValueError("an image without sub-images")
+        return natives, tuple(left_out)
+
+    @property
     def natives(self) -> tuple[NativeImage, ...]:
         """The native images, in order of their names."""
-        return tuple(
-            NativeImage(
-                image["name"],
-                image["width"],
-                image["height"],
-                tuple(
-                    SubImage(
-                        sub["name"],
-                        sub["row"],
-                        sub["column"],
-                        Rectangle(*sub["core"]),
-                        Rectangle(*sub["stored"]),
-                    )
-                    for sub in image["sub_images"]
-                ),
-                image["white"],
-                image["masked"],
-            )
-            for image in self._index["images"]
-        )
+        return self._index[0]
 
     def native(self, name: str) -> NativeImage:
         """Raises InputError when the workspace has no native image of that name."""
@@ -379,12 +379,17 @@ class Workspace:
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        return tuple(LeftOut(out["name"], out["reason"]) for out in self._index["left_out"])
+        return self._index[1]
 
     def sub_images(self) -> Iterator[tuple[NativeImage, SubImage]]:
         for native in self.natives:
             for sub_image in native.sub_images:
                 yield native, sub_image
+
+    def remove_clusters(self) -> None:
+        """Also the groups of PMVS, which are made of them."""
+        for path in (self.clusters_index, self.clusters, *self.pmvs_groups):
+            _remove(path)
 
     # ---- stages
     def begin_stage(self, stage: str, fingerprint: str) -> bool:
@@ -396,30 +401,25 @@ class Workspace:
             OutputError: the folder holds something under the name of an output that no stage made.
         """
         fingerprint = f"{__version__} {fingerprint}"
-        path = self.folder / "stages.json"
-        for output in _STAGE_OUTPUTS[stage]:
-            _remove_unfinished(self.folder / output)
-        try:
-            known: dict[str, str] = json.loads(path.read_text(encoding="utf-8"))
-        except (FileNotFoundError, ValueError):
-            known = {}
+        known = self._known_stages()
         if known.get(stage) == fingerprint:
+            self._remove_unfinished(stage)
             return True
         stages = list(_STAGE_OUTPUTS)
         stale = stages[stages.index(stage) :]
         for name in stale:
-            for made in self._outputs(name):
-                if name not in known:
-                    raise OutputError(
-                        f"{made} is in the way, and not of this workspace: "
-                        "choose another folder with --output, or move it away"
-                    )
-        for name in stale:
+            if name not in known and (foreign := self._outputs(name)):
+                raise OutputError(
+                    f"{foreign[0]} is in the way, and not of this workspace: "
+                    "choose another folder with --output, or move it away"
+                )
+        for name in known.keys() & stale:
+            self._remove_unfinished(name)
             for made in self._outputs(name):
                 _remove(made)
         self._forget_index()
         kept = {name: value for name, value in known.items() if name not in stale}
-        write_json(path, {**kept, stage: fingerprint})
+        write_json(self.folder / "stages.json", {**kept, stage: fingerprint})
         return False
 
     def check_apart(self, first_stage: str, *sources: Path | None) -> None:
@@ -435,6 +435,26 @@ class Workspace:
                             "when options change: choose another output folder, or move it"
                         )
 
+    def _known_stages(self) -> dict[str, str]:
+        """The stages that were begun, with their fingerprints."""
+        try:
+            return read_json(
+                self.folder / "stages.json",
+                lambda stages: {str(name): str(value) for name, value in stages.items()},
+                f"delete {self.folder}, or choose another folder",
+            )
+        except FileNotFoundError:
+            return {}
+
+    def _remove_unfinished(self, stage: str) -> None:
+        """Files under temporary names that a killed run of the stage left behind."""
+        for output in _STAGE_OUTPUTS[stage]:
+            path = self.folder / output
+            hidden = [*path.parent.glob(f".{path.stem}.*.tmp*"), *path.rglob(".*.tmp*")]
+            for found in hidden:
+                if _UNFINISHED.fullmatch(found.name):
+                    _remove(found)
+
     def _outputs(self, stage: str) -> list[Path]:
         """What there is of a stage's outputs."""
         found: list[Path] = []
@@ -447,18 +467,11 @@ class Workspace:
 
     def _forget_index(self) -> None:
         self.__dict__.pop("_index", None)
-        self.__dict__.pop("natives", None)
         self.__dict__.pop("_natives_by_name", None)
 
     def fingerprint_of(self, stage: str) -> str:
         """The fingerprint that `stage` was begun with; empty when it never was."""
-        try:
-            known: dict[str, str] = json.loads(
-                (self.folder / "stages.json").read_text(encoding="utf-8")
-            )
-        except (FileNotFoundError, ValueError):
-            return ""
-        return known.get(stage, "")
+        return self._known_stages().get(stage, "")
 
 
 def check_writable(folder: Path) -> None:
@@ -479,11 +492,25 @@ def check_writable(folder: Path) -> None:
         ) from error
 
 
-def _remove_unfinished(path: Path) -> None:
-    """Temporary files of `files.written_whole` that a killed run left behind."""
-    pattern = ".*.tmp*"
-    for unfinished in [*path.parent.glob(f".{path.stem}{pattern}"), *path.rglob(pattern)]:
-        _remove(unfinished)
+def _parsed_native(image: Any) -> NativeImage:
+    sub_images = tuple(
+        SubImage(
+            str(sub["name"]),
+            int(sub["row"]),
+            int(sub["column"]),
+            Rectangle(*map(int, sub["core"])),
+            Rectangle(*map(int, sub["stored"])),
+        )
+        for sub in image["sub_images"]
+    )
+    return NativeImage(
+        str(image["name"]),
+        int(image["width"]),
+        int(image["height"]),
+        sub_images,
+        int(image["white"]),
+        bool(image["masked"]),
+    )
 
 
 def _remove(path: Path) -> None:

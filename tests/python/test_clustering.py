@@ -7,16 +7,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from engine_scenes import cut_town
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import plane_scene
-from sirpy.clustering import Visibility, add_pointless, clusters, cover, visibility
+from sirpy.cli import app
+from sirpy.clustering import (
+    Visibility,
+    add_pointless,
+    clusters,
+    cover,
+    read_clusters,
+    visibility,
+)
 from sirpy.cutting import cut
 from sirpy.errors import InputError
+from sirpy.exporting import export
 from sirpy.layout import Layout
 from sirpy.native_scene import NativeCamera, NativeScene, Observations
 from sirpy.rectangle import Grid
 from sirpy.workspace import NativeImage, Workspace
+from typer.testing import CliRunner
 
 
 def seen_by(*points: dict[int, float]) -> Visibility:
@@ -147,6 +158,20 @@ def test_the_workspace_lists_every_sub_image(town: Path, tmp_path: Path) -> None
     assert len(larger) == len(list(workspace.clusters.iterdir())) < len(found)
     again = cut(town / "images", town / "sparse", tmp_path / "out", grid=Grid(2, 2))
     assert not again.clusters_index.exists() and not again.clusters.exists()
+
+
+def test_pmvs_keeps_no_group_of_earlier_clusters(town: Path, tmp_path: Path) -> None:
+    workspace = cut_town(town, tmp_path / "out")
+    clusters(workspace, cluster_size=8)
+    export(workspace, "PMVS")
+    before = len(read_clusters(workspace))
+    assert len(workspace.pmvs_groups) == before
+    done = CliRunner().invoke(app, ["clusters", str(workspace.folder), "--cluster_size=36"])
+    assert done.exit_code == 0
+    assert f"run `sirpy export {workspace.folder} PMVS`" in done.output
+    assert workspace.pmvs_groups == [] and (workspace.pmvs / "option-all").exists()
+    export(workspace, "PMVS")
+    assert len(workspace.pmvs_groups) == len(read_clusters(workspace)) < before
 
 
 def test_sub_images_without_points_join_their_neighbours() -> None:

@@ -10,7 +10,10 @@ import pycolmap
 import pytest
 from engine_scenes import Notes, assert_numbered_images_are, cut_town, expected_pixels
 from numpy.typing import NDArray
+from sirpy.cut_tasks import PixelOptions
+from sirpy.cutting import cut
 from sirpy.mvsnet import SIZE_MULTIPLE, write_mvsnet
+from sirpy.rectangle import Grid
 from sirpy.workspace import Workspace
 
 
@@ -112,6 +115,24 @@ def test_grey_images_are_said(town: Path, tmp_path: Path) -> None:
     assert f"{name} is grey, and MVSNet reads RGB" in notes.notes[-1]
 
 
+def test_images_that_the_networks_would_resample_are_said(town: Path, tmp_path: Path) -> None:
+    # 360 pixels less what undistortion takes, in one piece: growing them is not possible.
+    whole = cut(
+        town / "images",
+        town / "sparse",
+        tmp_path / "out",
+        grid=Grid(1, 1),
+        same_size=SIZE_MULTIPLE,
+        pixels=PixelOptions(format="jpg"),
+    )
+    native = whole.natives[0]
+    notes = Notes()
+    write_mvsnet(whole, progress=notes)
+    (note,) = [text for text in notes.notes if "no multiple of 32 pixels" in text]
+    assert f"{native.sub_images[0].name} has {native.width}x{native.height}" in note
+    assert "--same-size 32" in note and "more columns and rows" in note
+
+
 def test_a_view_without_points_keeps_its_place_and_is_passed_over(
     town: Path, tmp_path: Path
 ) -> None:
@@ -124,7 +145,7 @@ def test_a_view_without_points_keeps_its_place_and_is_passed_over(
     model.write(made.native_model)
     notes = Notes()
     write_mvsnet(made, progress=notes)
-    assert len(notes.notes) == 1 and "MVSNet expects images of one size" in notes.notes[0]
+    assert len(notes.notes) == 2 and "MVSNet expects images of one size" in notes.notes[0]
     lines = (made.folder / "pair.txt").read_text().splitlines()
     assert lines[:3] == ["36", "0", "0"]
     assert len(list((made.folder / "cams").iterdir())) == 36

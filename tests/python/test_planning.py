@@ -14,11 +14,12 @@ from rich.console import Console
 from scenes import plane_scene
 from sirpy.area import Area
 from sirpy.errors import BudgetError, InputError
-from sirpy.layout import Region
+from sirpy.layout import Layout, Region
 from sirpy.memory import parse_memory
 from sirpy.plan_table import print_plan
 from sirpy.planning import _coarsest, grid_for_memory, plan
 from sirpy.rectangle import Grid, Rectangle
+from sirpy.sub_image_sets import of_one_size
 
 
 @pytest.mark.parametrize(
@@ -130,11 +131,30 @@ def test_the_table_says_what_the_plan_says() -> None:
     assert "of 8.00 GB" in words
 
 
-@given(st.integers(300, 20_000), st.integers(300, 20_000), st.floats(1e8, 1e11))
-def test_grid_for_memory_fits(width: int, height: int, memory: float) -> None:
-    grid = grid_for_memory([(width, height)], int(memory))
-    areas = [core.area for _, _, core in grid.cores(width, height)]
-    assert 200 * np.max(areas) <= memory
+@given(
+    st.integers(300, 20_000),
+    st.integers(300, 20_000),
+    st.floats(1e8, 1e11),
+    st.integers(0, 120),
+    st.sampled_from([0, 1, 32]),
+)
+def test_grid_for_memory_fits_what_is_stored(
+    width: int, height: int, memory: float, overlap: int, multiple: int
+) -> None:
+    found = grid_for_memory([(width, height)], int(memory), overlap=overlap, multiple=multiple)
+    natives = [Layout(found, overlap).native_image("a.jpg", (width, height))]
+    if multiple:
+        natives = of_one_size(natives, multiple)
+    assert 200 * max(sub.stored.area for sub in natives[0].sub_images) <= memory
+
+
+def test_grid_for_memory_says_the_least_that_would_do() -> None:
+    # 2 columns of 256 pixels and an overlap on one side, of 300 rows.
+    with pytest.raises(BudgetError, match=r"the least that would do is 0\.02 GB"):
+        grid_for_memory([(512, 300)], 10_000_000, overlap=20)
+    assert grid_for_memory([(512, 300)], 200 * 276 * 300, overlap=20) == Grid(2, 1)
+    with pytest.raises(BudgetError):
+        grid_for_memory([(512, 300)], 200 * 276 * 300 - 1, overlap=20)
 
 
 def test_small_regions_bound_the_grid() -> None:

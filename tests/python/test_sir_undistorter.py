@@ -246,6 +246,42 @@ def test_the_same_again_keeps_the_depth_maps_and_another_grid_does_not(
     assert not made_by_colmap.exists()
 
 
+def test_the_same_without_clusters_has_none(inputs: list[str], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = [*inputs, "--output_type=PMVS", "--sub_image_rows=4", "--sub_image_columns=2"]
+    assert main([*arguments, "--cluster_size=5"]) == 0
+    assert len(list((out / "pmvs").glob("option-0*"))) == len(list((out / "clusters").iterdir()))
+    assert main(arguments) == 0
+    assert [path.name for path in (out / "pmvs").glob("option-*")] == ["option-all"]
+    assert not (out / "clusters").exists() and not (out / "clusters.json").exists()
+
+
+def test_after_colmap_has_run_it_can_be_cut_again(inputs: list[str], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(inputs) == 0
+    scripts = [out / f"run-colmap-{kind}.sh" for kind in ("geometric", "photometric")]
+    made = [
+        *(out / name for name in ("fused.ply", "fused.ply.vis", "meshed-poisson.ply")),
+        out / "stereo" / "consistency_graphs" / "1_r00_c00.jpg.geometric.bin",
+        out / "stereo" / "depth_maps" / "1_r00_c00.jpg.geometric.bin",
+    ]
+    assert all(f'"$workspace/{path.name}"' in scripts[0].read_text() for path in made[:3:2])
+    for path in made:
+        path.touch()
+    assert main(inputs) == 0
+    assert all(path.exists() for path in made)
+    assert main([*inputs, "--num_patch_match_src_images=3"]) == 0
+    assert not any(path.exists() for path in made)
+    for path in made:
+        path.touch()
+    assert main([*inputs, "--sub_image_rows=2"]) == 0
+    assert not any(path.exists() for path in made)
+    assert all(path.exists() for path in scripts)
+    # An engine that has no use for them leaves nothing of theirs behind.
+    assert main([*inputs, "--output_type=PMVS"]) == 0
+    assert not any(path.exists() for path in [*scripts, out / "stereo" / "patch-match.cfg"])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -285,6 +321,48 @@ def test_grid_for_side_counts_the_overlap() -> None:
     assert grid_for_side(sizes, 500, 10) == Grid(3, 2)
     with pytest.raises(InputError, match="at least 21"):
         grid_for_side(sizes, 20, 10)
+
+
+def test_grid_for_side_keeps_to_it_when_files_are_grown() -> None:
+    sizes = [(91, 70)]
+    assert grid_for_side(sizes, 40, 0, 32) == Grid(3, 3)
+    assert grid_for_side(sizes, 95, 4, 32) == Grid(2, 2)
+    assert grid_for_side(sizes, 91, 0, 1) == Grid(1, 1)
+    with pytest.raises(InputError, match=r"leaves no pixel in sides that .* 32: give at least 32"):
+        grid_for_side(sizes, 31, 0, 32)
+    with pytest.raises(InputError, match=r"overlaps of 16 pixels in sides .* give at least 64"):
+        grid_for_side(sizes, 63, 16, 32)
+
+
+@pytest.mark.parametrize("overlap", [0, 3])
+def test_no_mvsnet_image_is_larger_than_asked_for(
+    inputs: list[str], tmp_path: Path, overlap: int
+) -> None:
+    size = ["--max_sub_image_size=40", f"--sub_image_overlap={overlap}"]
+    assert main([*inputs, *size, "--output_type=MVSNET"]) == 0
+    for image in (tmp_path / "out" / "images").glob("0*"):
+        assert pycolmap.Bitmap.read(image, True).to_array().shape[:2] == (32, 32)
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        [],
+        ["--sub_image_overlap=12"],
+        ["--output_type=MVSNET"],
+        ["--output_type=MVSNET", "--sub_image_overlap=5", "--sub_image_roi=20,10,190,150"],
+    ],
+)
+def test_the_memory_is_for_what_is_stored(
+    inputs: list[str], tmp_path: Path, extra: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another engine holds 200 bytes for each pixel of a file."""
+    monkeypatch.setattr("sirpy.planning._SMALLEST_SIDE", 32)
+    for side in (128, 140, 400):
+        assert main([*inputs, f"--memory={200 * side * side}", *extra]) == 0
+        model = pycolmap.Reconstruction(tmp_path / "out" / "sparse")
+        largest = max(camera.width * camera.height for camera in model.cameras.values())
+        assert largest <= side * side
 
 
 def test_16_bit_photographs_are_refused_where_the_engine_takes_jpeg(

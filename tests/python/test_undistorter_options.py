@@ -101,6 +101,33 @@ def test_links_are_for_numbered_images_and_else_said_to_do_nothing(policy: str) 
 
 
 @pytest.mark.parametrize(
+    ("option", "of", "not_of"),
+    [
+        ("--min_points=3", ["COLMAP"], ["PMVS", "CMP-MVS", "MVSNET"]),
+        ("--mvsnet_depths=interval", ["MVSNET"], ["COLMAP", "PMVS", "CMP-MVS"]),
+        ("--num_patch_match_src_images=5", ["COLMAP", "MVSNET"], ["PMVS", "CMP-MVS"]),
+    ],
+)
+def test_options_of_other_output_types_are_said_to_do_nothing(
+    option: str, of: list[str], not_of: list[str]
+) -> None:
+    for output_type in of:
+        assert parse([*PATHS, option, f"--output_type={output_type}"]).notes == ()
+    for output_type in not_of:
+        (note,) = parse([*PATHS, option, f"--output_type={output_type}"]).notes
+        assert f"{option.replace('=', ' ')} has no effect with --output_type {output_type}" in note
+    assert parse([*PATHS, "--min_points=3", "--few_points=drop", "--output_type=PMVS"]).notes == ()
+
+
+def test_a_name_is_not_completed(tmp_path: Path) -> None:
+    """Else the file of `--project` would be taken and never read."""
+    (tmp_path / "p.ini").write_text("jpeg_quality=70\n")
+    for words in (["--project", str(tmp_path / "p.ini")], ["--jpeg_q=3"], ["--sub_image_col=2"]):
+        with pytest.raises(InputError, match=f"unrecognized arguments: {words[0]}"):
+            parse([*PATHS, *words])
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (PATHS[:4], "--output_path is missing"),
