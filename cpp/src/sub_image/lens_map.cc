@@ -5,7 +5,6 @@
 #include <stdexcept>
 
 #include "sub_image/sub_pixels.h"
-#include "sub_image/warp_kernels.h"
 
 namespace sirpy {
 namespace {
@@ -87,9 +86,9 @@ Eigen::Vector2d LensMap::At(const Eigen::Vector2d& undistorted) const {
           Interpolate(nodes + 1, 2, column - first_column)};
 }
 
-void LensMap::Row(int64_t row, int64_t first_column, int64_t count, int32_t* x, int32_t* y) const {
+void LensMap::Row(const warp::Kernels& kernels, int64_t row, int64_t first_column, int64_t count,
+                  int32_t* x, int32_t* y) const {
   const std::vector<double> nodes = NodeRow(row + 0.5);
-  const warp::Kernels& kernels = warp::BestKernels();
   const int64_t last_column = first_column + count;
   int64_t begin = first_column;
   for (int64_t first = 0; first + 4 <= node_columns_ && begin < last_column; ++first) {

@@ -10,6 +10,8 @@
 
 #include <Eigen/Core>
 
+#include "sub_image/warp_kernels.h"
+
 namespace sirpy {
 
 class LensMap {
@@ -26,7 +28,8 @@ class LensMap {
   Eigen::Vector2d At(const Eigen::Vector2d& undistorted) const;
 
   // The pixels first_column .. first_column + count - 1 of a row, in sub-pixels (sub_pixels.h).
-  void Row(int64_t row, int64_t first_column, int64_t count, int32_t* x, int32_t* y) const;
+  void Row(const warp::Kernels& kernels, int64_t row, int64_t first_column, int64_t count,
+           int32_t* x, int32_t* y) const;
 
  private:
   // The positions (x, y) of all node columns at one height, interpolated between the node rows.

@@ -21,6 +21,7 @@ Warp::Warp(std::shared_ptr<const LensMap> lens, const Rectangle& window, const I
       window_(window),
       source_(source),
       interpolation_(interpolation),
+      kernels_(warp::BestKernels()),
       sample_row_(ChooseSampleRow(interpolation, source)),
       next_(std::move(next)) {
   if (std::max(source_.width, source_.height) > kLargestSide) {
@@ -29,7 +30,6 @@ Warp::Warp(std::shared_ptr<const LensMap> lens, const Rectangle& window, const I
                      " pixels is larger than can be undistorted (" + std::to_string(kLargestSide) +
                      "): cut it first");
   }
-  warp::BestKernels();  // an unknown instruction set throws here, not in a parallel region
   const int64_t pixels = std::min(kBandRows, window_.height) * window_.width;
   band_x_.resize(pixels);
   band_y_.resize(pixels);
@@ -96,7 +96,7 @@ void Warp::PlaceBand() {
   for (int64_t row = 0; row < band_rows_; ++row) {
     int32_t* x = &band_x_[row * width];
     int32_t* y = &band_y_[row * width];
-    lens_->Row(band_begin_ + row, window_.x0, width, x, y);
+    lens_->Row(kernels_, band_begin_ + row, window_.x0, width, x, y);
     for (int64_t column = 0; column < width; ++column) {
       lowest = std::min(lowest, y[column]);
       highest = std::max(highest, y[column]);

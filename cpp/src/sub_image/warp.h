@@ -47,6 +47,7 @@ class Warp : public RowSink {
   Rectangle window_;
   ImageShape source_;
   Interpolation interpolation_;
+  const warp::Kernels& kernels_;
   warp::SampleRow sample_row_;
   int64_t first_row_ = 0;
   int64_t expected_end_ = 0;

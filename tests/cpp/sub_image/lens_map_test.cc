@@ -46,7 +46,7 @@ TEST(LensMap, RowsAreRoundedPositions) {
     const LensMap lens(Nodes(5, columns, 60, 40, F, G), 5, columns, 60, 40);
     std::vector<int32_t> x(60), y(60);
     for (int64_t row : {0, 1, 20, 39}) {
-      lens.Row(row, 0, 60, x.data(), y.data());
+      lens.Row(warp::BestKernels(), row, 0, 60, x.data(), y.data());
       for (int64_t column = 0; column < 60; ++column) {
         const Eigen::Vector2d position = lens.At({column + 0.5, row + 0.5});
         EXPECT_NEAR(x[column], (position.x() - 0.5) * kSubPixels, 0.5001);
@@ -59,10 +59,10 @@ TEST(LensMap, RowsAreRoundedPositions) {
 TEST(LensMap, PartsOfARowArePartsOfTheWhole) {
   const LensMap lens(Nodes(5, 23, 60, 40, F, G), 5, 23, 60, 40);
   std::vector<int32_t> x(60), y(60), part_x(60), part_y(60);
-  lens.Row(17, 0, 60, x.data(), y.data());
+  lens.Row(warp::BestKernels(), 17, 0, 60, x.data(), y.data());
   for (int64_t first = 0; first < 60; ++first) {
     for (int64_t count = 1; count <= 60 - first; ++count) {
-      lens.Row(17, first, count, part_x.data(), part_y.data());
+      lens.Row(warp::BestKernels(), 17, first, count, part_x.data(), part_y.data());
       ASSERT_TRUE(std::equal(&part_x[0], &part_x[0] + count, &x[first])) << first << " " << count;
       ASSERT_TRUE(std::equal(&part_y[0], &part_y[0] + count, &y[first])) << first << " " << count;
     }
@@ -75,7 +75,7 @@ TEST(LensMap, ImageSmallerThanItsLattice) {
           4, 4, 2, 2, [](double x, double) { return x; }, [](double, double y) { return y; }),
       4, 4, 2, 2);
   std::vector<int32_t> x(2), y(2);
-  lens.Row(1, 0, 2, x.data(), y.data());
+  lens.Row(warp::BestKernels(), 1, 0, 2, x.data(), y.data());
   EXPECT_EQ(x, (std::vector<int32_t>{0, kSubPixels}));
   EXPECT_EQ(y, (std::vector<int32_t>{kSubPixels, kSubPixels}));
 }
@@ -86,7 +86,7 @@ TEST(LensMap, FarPositionsDoNotOverflow) {
                          [](double, double y) { return y; }),
                      4, 4, 9, 9);
   std::vector<int32_t> x(9), y(9);
-  lens.Row(0, 0, 9, x.data(), y.data());
+  lens.Row(warp::BestKernels(), 0, 0, 9, x.data(), y.data());
   EXPECT_LT(x[0], -(1 << 27));
   EXPECT_GT(x[8], 1 << 27);
 }
@@ -105,7 +105,7 @@ TEST(LensMap, NodesThatAlternateDoNotOverflow) {
   EXPECT_NEAR(position.x(), kExpected, 1e-6);
   EXPECT_NEAR(position.y(), kExpected, 1e-6);
   std::vector<int32_t> x(9), y(9);
-  lens.Row(1, 0, 9, x.data(), y.data());
+  lens.Row(warp::BestKernels(), 1, 0, 9, x.data(), y.data());
   EXPECT_NEAR(x[1], (kExpected - 0.5) * kSubPixels, 0.51);
   EXPECT_NEAR(y[1], (kExpected - 0.5) * kSubPixels, 0.51);
 }

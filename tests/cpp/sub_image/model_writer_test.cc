@@ -112,14 +112,15 @@ class ReplacedModel : public testing::Test {
     }
   }
 
-  const fs::path root_ = fs::path(testing::TempDir()) / "replaced";
+  // Tests run side by side.
+  const fs::path root_ = fs::path(testing::TempDir()) / ("replaced-" + std::to_string(getpid()));
   const fs::path folder_ = root_ / "old";
   std::string before_;
 };
 
 TEST_F(ReplacedModel, EveryNameOfTheFolderWill) {
-  fs::create_directory_symlink(folder_, fs::path(testing::TempDir()) / "link");
-  const fs::path link = fs::path(testing::TempDir()) / "link";
+  const fs::path link = root_.string() + "-link";
+  fs::create_directory_symlink(folder_, link);
   for (const fs::path& path :
        {folder_, folder_ / "", folder_ / ".", root_ / "." / "x" / ".." / "old", link, link / ""}) {
     WriteModel(SmallModel(), folder_);
