@@ -493,6 +493,8 @@ def check_writable(folder: Path) -> None:
 
 
 def _parsed_native(image: Any) -> NativeImage:
+    if not 1 <= image["white"] <= 65535:
+        raise ValueError(f"white = {image['white']}")
     sub_images = tuple(
         SubImage(
             str(sub["name"]),
