@@ -5,10 +5,12 @@
 // prints {"decode": CPU seconds, "warp": ..., "encode": ...} for all of the photograph's pixels.
 // Nothing is kept: no recapture of a photograph can be cheaper than the sum, with these libraries
 // and kernels.
-#include <ctime>
-
+#include <algorithm>
+#include <cstdint>
 #include <cstdio>
+#include <ctime>
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -53,8 +55,9 @@ std::shared_ptr<const LensMap> BentLens(const ImageShape& shape) {
   return std::make_shared<LensMap>(nodes, kNodes, kNodes, shape.width, shape.height);
 }
 
-int Main(const std::filesystem::path& path, const std::filesystem::path& folder, int quality,
-         const std::string& chroma) {
+int Main(const std::filesystem::path& path, const std::filesystem::path& folder,
+         const WriterOptions& options) {
+  options.Validate();
   const double begin = CpuSeconds();
   const auto reader = OpenImageReader(path, Bands::kColor);
   const ImageShape shape = reader->shape();
@@ -71,9 +74,6 @@ int Main(const std::filesystem::path& path, const std::filesystem::path& folder,
   }
   const double warped = CpuSeconds();
 
-  WriterOptions options;
-  options.jpeg_quality = quality;
-  options.jpeg_chroma = chroma == "420" ? JpegChroma::k420 : JpegChroma::k444;
   const auto writer = OpenImageWriter(folder / "limits.jpg", shape, options);
   for (int64_t y = 0; y < shape.height; ++y) {
     writer->WriteRow(&rows[(y % kRows) * shape.RowBytes()]);
@@ -89,9 +89,15 @@ int Main(const std::filesystem::path& path, const std::filesystem::path& folder,
 }  // namespace sirpy
 
 int main(int count, char** arguments) {
-  if (count != 5) {
-    std::fprintf(stderr, "limits PHOTOGRAPH.jpg OUTPUT_FOLDER QUALITY 444|420\n");
+  using sirpy::JpegChroma;
+  const std::map<std::string, JpegChroma> chromas = {
+      {"444", JpegChroma::k444}, {"422", JpegChroma::k422}, {"420", JpegChroma::k420}};
+  if (count != 5 || chromas.count(arguments[4]) == 0) {
+    std::fprintf(stderr, "limits PHOTOGRAPH.jpg OUTPUT_FOLDER QUALITY 444|422|420\n");
     return 2;
   }
-  return sirpy::Main(arguments[1], arguments[2], std::stoi(arguments[3]), arguments[4]);
+  sirpy::WriterOptions options;
+  options.jpeg_quality = std::stoi(arguments[3]);
+  options.jpeg_chroma = chromas.at(arguments[4]);
+  return sirpy::Main(arguments[1], arguments[2], options);
 }

@@ -17,6 +17,8 @@ from sirpy.errors import InputError, OutputError, SirpyError
 
 _T = TypeVar("_T")
 
+_LONGEST_NAME = 255  # bytes, of Linux' file systems
+
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
@@ -25,7 +27,7 @@ def written_whole(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written (no permission, no space left).
     """
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    temporary = _temporary(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -34,12 +36,36 @@ def written_whole(path: Path) -> Iterator[Path]:
         raise
     except OSError as error:
         raise OutputError(
-            f"cannot write {path}: {error.strerror or error}; free some space or choose another "
-            "output folder, then run the same command again"
+            f"cannot write {path}: {error.strerror or error}; {_remedy(error)}, "
+            "then run the same command again"
         ) from error
     finally:
         with suppress(OSError):  # also when its folder could not be made: the error above says more
             temporary.unlink()
+
+
+def _temporary(path: Path) -> Path:
+    """`.STEM.PROCESS.tmp.EXTENSION` beside `path`, as the C++ core names it too.
+
+    A long stem is shortened, so that every name a file system takes can be written.
+    """
+    stem, tail = os.fsencode(path.stem), f".{os.getpid()}.tmp{path.suffix}"
+    too_long = 1 + len(stem) + len(os.fsencode(tail)) - _LONGEST_NAME
+    if too_long > 0:
+        mark = f"-{fingerprint(path.stem)}"  # names that begin alike stay apart
+        kept = max(len(stem) - too_long - len(mark), 0)
+        while kept and stem[kept] & 0xC0 == 0x80:  # no character in half
+            kept -= 1
+        return path.with_name(f".{os.fsdecode(stem[:kept])}{mark}{tail}")
+    return path.with_name(f".{path.stem}{tail}")
+
+
+def _remedy(error: OSError) -> str:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return "free some space or choose another output folder"
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return "choose another output folder"
+    return "mend that"
 
 
 def place(source: Path, target: Path, policy: CopyPolicy) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 from sirpy.engine_options import CopyPolicy
 from sirpy.errors import OutputError
-from sirpy.files import place
+from sirpy.files import place, write_text, written_whole
 
 
 @pytest.fixture
@@ -53,3 +54,35 @@ def test_a_folder_that_cannot_be_is_one_sentence(source: Path, tmp_path: Path) -
     with pytest.raises(OutputError, match="cannot write"):
         place(source, source / "0.jpg", "copy")
     assert source.read_bytes() == b"pixels"
+
+
+@pytest.mark.parametrize("letter", ["n", "ä", "万"])
+def test_names_as_long_as_the_file_system_takes(tmp_path: Path, letter: str) -> None:
+    stem = letter * (250 // len(letter.encode()))
+    paths = [tmp_path / f"{stem}{i}.jpg" for i in range(2)]
+    with written_whole(paths[0]) as first, written_whole(paths[1]) as second:
+        assert first != second
+        for temporary in (first, second):
+            assert len(os.fsencode(temporary.name)) <= 255
+            assert temporary.name.startswith(f".{letter}")
+            assert temporary.name.endswith(f".{os.getpid()}.tmp.jpg")
+            temporary.write_text("pixels", encoding="utf-8")
+    assert sorted(tmp_path.iterdir()) == paths
+
+
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [
+        (errno.ENOSPC, "free some space or choose another output folder, then run"),
+        (errno.EACCES, "Permission denied; choose another output folder, then run"),
+        (errno.ENAMETOOLONG, "File name too long; mend that, then run"),
+    ],
+)
+def test_the_advice_is_that_of_the_reason(tmp_path: Path, number: int, advice: str) -> None:
+    with pytest.raises(OutputError, match=advice), written_whole(tmp_path / "a.jpg"):
+        raise OSError(number, os.strerror(number))
+
+
+def test_names_that_are_too_long_are_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="File name too long; mend that"):
+        write_text(tmp_path / f"{'n' * 256}.txt", "text")

@@ -32,8 +32,13 @@ int64_t Stencil(double position, int64_t nodes) {
   return std::clamp<int64_t>(static_cast<int64_t>(std::floor(position)) - 1, 0, nodes - 4);
 }
 
+// The value at t, in steps from the first, of the cubic through four nodes that lie `stride` apart.
+double Interpolate(const double* p, int64_t stride, double t) {
+  return Cubic(p[0], p[stride], p[2 * stride], p[3 * stride])(t);
+}
+
 // Nodes farther off than this (in pixels) are drawn in, so that sub-pixels never overflow 32 bits:
-// a cubic through four bounded nodes stays within twice the bound.
+// a cubic through four nodes stays within 1.632 times their bound, so the bicubic within 2.67.
 constexpr double kFarthest = kLargestSide;
 
 }  // namespace
@@ -64,18 +69,22 @@ std::vector<double> LensMap::NodeRow(double undistorted_y) const {
   const double* p = &nodes_[first * stride];
   std::vector<double> row(stride);
   for (int64_t i = 0; i < stride; ++i) {
-    row[i] = Cubic(p[i], p[i + stride], p[i + 2 * stride], p[i + 3 * stride])(position - first);
+    row[i] = Interpolate(p + i, stride, position - first);
   }
   return row;
 }
 
 Eigen::Vector2d LensMap::At(const Eigen::Vector2d& undistorted) const {
-  const std::vector<double> row = NodeRow(undistorted.y());
-  const double position = (undistorted.x() - 0.5) * nodes_per_pixel_x_;
-  const int64_t first = Stencil(position, node_columns_);
-  const double* p = &row[2 * first];
-  return {Cubic(p[0], p[2], p[4], p[6])(position - first),
-          Cubic(p[1], p[3], p[5], p[7])(position - first)};
+  const double row = (undistorted.y() - 0.5) * nodes_per_pixel_y_;
+  const double column = (undistorted.x() - 0.5) * nodes_per_pixel_x_;
+  const int64_t first_row = Stencil(row, node_rows_);
+  const int64_t first_column = Stencil(column, node_columns_);
+  const int64_t stride = 2 * node_columns_;
+  const double* p = &nodes_[first_row * stride + 2 * first_column];
+  double nodes[8];  // four columns of (x, y)
+  for (int i = 0; i < 8; ++i) nodes[i] = Interpolate(p + i, stride, row - first_row);
+  return {Interpolate(nodes, 2, column - first_column),
+          Interpolate(nodes + 1, 2, column - first_column)};
 }
 
 void LensMap::Row(int64_t row, int64_t first_column, int64_t count, int32_t* x, int32_t* y) const {

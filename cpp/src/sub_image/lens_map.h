@@ -29,7 +29,7 @@ class LensMap {
   void Row(int64_t row, int64_t first_column, int64_t count, int32_t* x, int32_t* y) const;
 
  private:
-  // Cubic polynomials of a row of node columns: x and y alternate.
+  // The positions (x, y) of all node columns at one height, interpolated between the node rows.
   std::vector<double> NodeRow(double undistorted_y) const;
 
   std::vector<double> nodes_;

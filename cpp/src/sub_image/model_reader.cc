@@ -15,7 +15,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int64_t kLargestSide = 1 << 20;  // pixels; beyond it the record is noise
+constexpr int64_t kLargestCameraSide = 1 << 20;  // pixels; beyond it the record is noise
 constexpr uint64_t kNoPoint = std::numeric_limits<uint64_t>::max();
 // Sizes of records in bytes, without what varies.
 constexpr int64_t kCameraSize = 24;
@@ -97,7 +97,7 @@ std::vector<ModelCamera> ReadCameras(const fs::path& path) {
       records.Damaged("there is no camera model " + std::to_string(camera.model));
     }
     const auto width = records.Take<uint64_t>(), height = records.Take<uint64_t>();
-    if (std::min(width, height) < 1 || std::max(width, height) > kLargestSide) {
+    if (std::min(width, height) < 1 || std::max(width, height) > kLargestCameraSide) {
       records.Damaged(name + " has " + std::to_string(width) + "x" + std::to_string(height) +
                       " pixels");
     }

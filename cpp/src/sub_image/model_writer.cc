@@ -1,16 +1,15 @@
 #include "sub_image/model_writer.h"
 
-#include <unistd.h>
-
 #include <cerrno>
 #include <cstdio>
-#include <cstring>
 #include <memory>
+#include <set>
 #include <string>
 #include <type_traits>
 #include <vector>
 
 #include "error.h"
+#include "sub_image/partial_file.h"
 
 namespace sirpy {
 namespace {
@@ -20,10 +19,13 @@ namespace fs = std::filesystem;
 constexpr size_t kBuffer = 1 << 18;   // bytes
 constexpr int32_t kCameraSensor = 0;  // COLMAP's SensorType::CAMERA
 
-[[noreturn]] void Fail(const fs::path& folder, const std::string& reason) {
+[[noreturn]] void Fail(const fs::path& folder, int error) {
+  FailToWrite("the model " + folder.string(), error);
+}
+
+[[noreturn]] void Refuse(const fs::path& folder, const std::string& reason) {
   throw OutputError("cannot write the model " + folder.string() + ": " + reason +
-                    "; free some space or choose another output folder, then run the same command "
-                    "again");
+                    "; choose another output folder");
 }
 
 // One file of the model in the temporary folder; errors name the folder that it is meant for.
@@ -31,7 +33,7 @@ class ModelFile {
  public:
   ModelFile(const fs::path& temporary, const char* name, const fs::path& folder)
       : folder_(folder), file_(std::fopen((temporary / name).c_str(), "wb")) {
-    if (file_ == nullptr) Fail(folder_, std::strerror(errno));
+    if (file_ == nullptr) Fail(folder_, errno);
     std::setvbuf(file_.get(), nullptr, _IONBF, 0);
     buffer_.reserve(kBuffer);
   }
@@ -53,7 +55,7 @@ class ModelFile {
     Flush();
     errno = 0;
     // A full disk may show only here.
-    if (std::fclose(file_.release()) != 0) Fail(folder_, Reason());
+    if (std::fclose(file_.release()) != 0) Fail(folder_, errno);
   }
 
  private:
@@ -64,13 +66,9 @@ class ModelFile {
   void Flush() {
     errno = 0;
     if (std::fwrite(buffer_.data(), 1, buffer_.size(), file_.get()) != buffer_.size()) {
-      Fail(folder_, Reason());
+      Fail(folder_, errno);
     }
     buffer_.clear();
-  }
-
-  static std::string Reason() {
-    return errno != 0 ? std::strerror(errno) : "the disk did not take all of it";
   }
 
   fs::path folder_;
@@ -78,38 +76,75 @@ class ModelFile {
   std::vector<char> buffer_;
 };
 
-// A folder beside the model's that becomes it, or is gone when that does not come about.
+// Of a model in binary or as text, or what COLMAP's mapper writes beside it.
+bool IsOfAModel(const fs::path& name) {
+  static const std::set<std::string> kStems = {"cameras", "images", "points3D", "rigs", "frames"};
+  if (name == "project.ini") return true;
+  return kStems.count(name.stem().string()) > 0 &&
+         (name.extension() == ".bin" || name.extension() == ".txt");
+}
+
+// `folder` without "." and "..", symbolic links and a slash at the end. It will be replaced, so it
+// must be one that is safe to remove.
+fs::path Replaceable(const fs::path& folder) {
+  std::error_code error;
+  fs::path path = fs::weakly_canonical(fs::absolute(folder, error), error);
+  if (error) Fail(folder, error.value());
+  if (!path.has_filename()) path = path.parent_path();
+  if (!path.has_filename()) Refuse(folder, "it is no name of a folder");
+  if (!fs::is_directory(path, error)) return path;
+  if (fs::equivalent(path, fs::current_path(error), error)) {
+    Refuse(folder, "it is the folder that the program runs in");
+  }
+  const fs::directory_iterator entries(path, error);
+  if (error) Fail(folder, error.value());
+  for (const fs::directory_entry& entry : entries) {
+    const fs::path name = entry.path().filename();
+    if (!IsOfAModel(name)) Refuse(folder, "it holds " + name.string() + ", no part of a model");
+  }
+  return path;
+}
+
+// A folder beside the model's, with the new model until that takes its name, then with the old one.
 class TemporaryFolder {
  public:
   explicit TemporaryFolder(const fs::path& folder)
-      : folder_(folder),
-        path_(folder.parent_path() /
-              ("." + folder.filename().string() + "." + std::to_string(getpid()) + ".tmp")) {
+      : given_(folder), folder_(Replaceable(folder)), temporary_(TemporaryPath(folder_)) {
     std::error_code error;
-    fs::remove_all(path_, error);
-    fs::create_directories(path_, error);
-    if (error) Fail(folder_, error.message());
+    fs::remove_all(temporary_, error);
+    fs::create_directories(made(), error);
+    if (error) Fail(given_, error.value());
   }
   ~TemporaryFolder() {
     std::error_code ignored;
-    fs::remove_all(path_, ignored);
+    // Not an old model that could not be put back.
+    if (fs::exists(folder_, ignored) || !fs::exists(old(), ignored)) {
+      fs::remove_all(temporary_, ignored);
+    }
   }
   TemporaryFolder(const TemporaryFolder&) = delete;
   TemporaryFolder& operator=(const TemporaryFolder&) = delete;
 
-  const fs::path& path() const { return path_; }
+  fs::path made() const { return temporary_ / "new"; }
 
   void Commit() {
-    std::error_code error;
+    std::error_code error, ignored;
     // Anything but a folder stays, and stands in the way.
-    if (fs::is_directory(folder_, error)) fs::remove_all(folder_, error);
-    fs::rename(path_, folder_, error);
-    if (error) Fail(folder_, error.message());
+    const bool replaces = fs::is_directory(folder_, ignored);
+    if (replaces) fs::rename(folder_, old(), error);
+    if (error) Fail(given_, error.value());
+    fs::rename(made(), folder_, error);
+    if (!error) return;
+    if (replaces) fs::rename(old(), folder_, ignored);
+    Fail(given_, error.value());
   }
 
  private:
+  fs::path old() const { return temporary_ / "old"; }
+
+  fs::path given_;
   fs::path folder_;
-  fs::path path_;
+  fs::path temporary_;
 };
 
 void WriteCameras(const SparseModel& model, ModelFile file) {
@@ -218,7 +253,7 @@ void WriteFrames(const SparseModel& model, ModelFile file) {
 void WriteModel(const SparseModel& model, const fs::path& folder) {
   model.Validate();
   TemporaryFolder temporary(folder);
-  const auto file = [&](const char* name) { return ModelFile(temporary.path(), name, folder); };
+  const auto file = [&](const char* name) { return ModelFile(temporary.made(), name, folder); };
   WriteCameras(model, file("cameras.bin"));
   WriteImages(model, file("images.bin"));
   WritePoints(model, file("points3D.bin"));

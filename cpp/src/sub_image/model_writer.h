@@ -10,9 +10,11 @@
 namespace sirpy {
 
 // The tracks of the points follow from the observations of the images. The model is written to a
-// temporary folder beside `folder`, which it replaces when all of it is on the disk. Time is
-// linear in the size of the model.
-// Throws OutputError when the folder cannot be written; it is as it was then.
+// temporary folder beside `folder`, which it replaces when all of it is on the disk; a process that
+// is killed between the two renames leaves both models in .NAME.PROCESS.tmp. Time is linear in the
+// size of the model.
+// Throws OutputError when the folder cannot be written, holds anything but a model or is the
+// current one; it is as it was then.
 void WriteModel(const SparseModel& model, const std::filesystem::path& folder);
 
 }  // namespace sirpy

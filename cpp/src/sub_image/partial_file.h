@@ -3,8 +3,18 @@
 
 #include <cstdio>
 #include <filesystem>
+#include <string>
 
 namespace sirpy {
+
+// The name, beside `path`, of a file or folder that becomes `path` when it is whole:
+// .STEM.PROCESS.tmp.EXTENSION, by which a later run knows what a killed one left behind. A long
+// stem is shortened, so that every name a file system takes can be written.
+std::filesystem::path TemporaryPath(const std::filesystem::path& path);
+
+// Throws OutputError: that `what` cannot be written for the reason `error` (of errno, 0 when there
+// is none), and how to mend that.
+[[noreturn]] void FailToWrite(const std::string& what, int error);
 
 class PartialFile {
  public:

@@ -9,7 +9,7 @@ namespace sirpy {
 constexpr int kSubPixelBits = 11;
 constexpr int32_t kSubPixels = 1 << kSubPixelBits;
 
-// Of a photograph, pixels: positions up to twice as far fit into 32 bits.
+// Of a photograph, pixels: positions 2.67 times as far, with the bias below, fit into 32 bits.
 constexpr int kLargestSide = 120000;
 
 // `position` is COLMAP's, with the centre of the top-left pixel at 0.5. Without floor(), so that

@@ -91,6 +91,25 @@ TEST(LensMap, FarPositionsDoNotOverflow) {
   EXPECT_GT(x[8], 1 << 27);
 }
 
+TEST(LensMap, NodesThatAlternateDoNotOverflow) {
+  // Signs of the four Lagrange polynomials between the first two nodes: at t = 3/8 their absolute
+  // values add up to 827/512, near the 1.6312 that a cubic through bounded nodes can reach.
+  const double signs[] = {1, 1, -1, 1};
+  std::vector<double> nodes;
+  for (double row : signs) {
+    for (double column : signs) nodes.insert(nodes.end(), 2, row * column * 1e12);
+  }
+  const LensMap lens(nodes, 4, 4, 9, 9);
+  constexpr double kExpected = 827.0 / 512 * 827 / 512 * kLargestSide;
+  const Eigen::Vector2d position = lens.At({1.5, 1.5});
+  EXPECT_NEAR(position.x(), kExpected, 1e-6);
+  EXPECT_NEAR(position.y(), kExpected, 1e-6);
+  std::vector<int32_t> x(9), y(9);
+  lens.Row(1, 0, 9, x.data(), y.data());
+  EXPECT_NEAR(x[1], (kExpected - 0.5) * kSubPixels, 0.51);
+  EXPECT_NEAR(y[1], (kExpected - 0.5) * kSubPixels, 0.51);
+}
+
 TEST(LensMap, RefusesNodesThatAreNone) {
   std::vector<double> nodes(4 * 4 * 2, 1.0);
   EXPECT_THROW(LensMap(nodes, 4, 3, 9, 9), std::invalid_argument);

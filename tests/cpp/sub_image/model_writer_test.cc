@@ -1,5 +1,9 @@
 #include "sub_image/model_writer.h"
 
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <csignal>
 #include <cstring>
 #include <filesystem>
 #include <string>
@@ -76,6 +80,98 @@ TEST(ModelWriter, SaysWhereItCannotWrite) {
     EXPECT_EQ(ReadBytes(file), "a file");
   }
   fs::remove(file);
+}
+
+// The model in a folder, and the names beside it.
+class ReplacedModel : public testing::Test {
+ protected:
+  ReplacedModel() {
+    fs::remove_all(root_);
+    WriteModel(SmallModel(), folder_);
+    before_ = ReadBytes(folder_ / "cameras.bin");
+  }
+  ~ReplacedModel() override {
+    fs::permissions(root_, fs::perms::owner_all);
+    fs::remove_all(root_);
+  }
+
+  static SparseModel Other() {
+    SparseModel model = SmallModel();
+    model.cameras[0].width = 200;
+    return model;
+  }
+  bool IsReplaced() const { return ReadBytes(folder_ / "cameras.bin") != before_; }
+  bool IsAlone() const { return std::distance(fs::directory_iterator(root_), {}) == 1; }
+
+  void ExpectRefusal(const fs::path& path, const std::string& reason) const {
+    try {
+      WriteModel(Other(), path);
+      ADD_FAILURE() << path;
+    } catch (const OutputError& error) {
+      EXPECT_NE(std::string(error.what()).find(reason), std::string::npos) << error.what();
+    }
+  }
+
+  const fs::path root_ = fs::path(testing::TempDir()) / "replaced";
+  const fs::path folder_ = root_ / "old";
+  std::string before_;
+};
+
+TEST_F(ReplacedModel, EveryNameOfTheFolderWill) {
+  fs::create_directory_symlink(folder_, fs::path(testing::TempDir()) / "link");
+  const fs::path link = fs::path(testing::TempDir()) / "link";
+  for (const fs::path& path :
+       {folder_, folder_ / "", folder_ / ".", root_ / "." / "x" / ".." / "old", link, link / ""}) {
+    WriteModel(SmallModel(), folder_);
+    ASSERT_FALSE(IsReplaced());
+    WriteModel(Other(), path);
+    EXPECT_TRUE(IsReplaced()) << path;
+    EXPECT_TRUE(IsAlone()) << path;
+  }
+  EXPECT_TRUE(fs::is_symlink(link));
+  fs::remove(link);
+  WriteModel(Other(), root_ / "new" / "");
+  EXPECT_TRUE(fs::exists(root_ / "new" / "cameras.bin"));
+}
+
+TEST_F(ReplacedModel, AnythingElseThanAModelStays) {
+  WriteBytes(root_ / "photograph.jpg", "pixels");
+  WriteBytes(folder_ / "project.ini", "of COLMAP");
+  ExpectRefusal(root_, "it holds ");
+  EXPECT_FALSE(IsReplaced());
+  EXPECT_EQ(ReadBytes(root_ / "photograph.jpg"), "pixels");
+  WriteBytes(folder_ / "notes.txt", "mine");
+  ExpectRefusal(folder_, "it holds notes.txt, no part of a model");
+  EXPECT_FALSE(IsReplaced());
+  fs::remove(folder_ / "notes.txt");
+
+  const fs::path current = fs::current_path();
+  fs::current_path(folder_);
+  ExpectRefusal(".", "it is the folder that the program runs in");
+  ExpectRefusal("", "");
+  ExpectRefusal("/", "it is no name of a folder");
+  fs::current_path(current);
+  EXPECT_FALSE(IsReplaced());
+}
+
+TEST_F(ReplacedModel, StaysWhereTheNewOneCannotTakeItsPlace) {
+  if (geteuid() == 0) GTEST_SKIP() << "root may write everywhere";
+  fs::permissions(root_, fs::perms::owner_read | fs::perms::owner_exec);
+  ExpectRefusal(folder_, "Permission denied; choose another output folder");
+  EXPECT_FALSE(IsReplaced());
+}
+
+TEST_F(ReplacedModel, StaysWhenTheDiskDoesNotTakeAllOfTheNewOne) {
+  rlimit before;
+  ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
+  const auto ended = std::signal(SIGXFSZ, SIG_IGN);
+  const rlimit small{300, before.rlim_max};  // bytes: cameras.bin fits, images.bin does not
+  ASSERT_EQ(setrlimit(RLIMIT_FSIZE, &small), 0);
+  ExpectRefusal(folder_, "File too large; free some space");
+  setrlimit(RLIMIT_FSIZE, &before);
+  std::signal(SIGXFSZ, ended);
+  EXPECT_FALSE(IsReplaced());
+  EXPECT_TRUE(IsAlone());
 }
 
 TEST(ModelWriter, RefusesArraysThatDoNotFitTogether) {

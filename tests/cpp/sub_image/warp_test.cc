@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "error.h"
+#include "instruction_set.h"
 #include "rows.h"
 
 namespace sirpy {
@@ -182,15 +183,41 @@ TEST(Warp, SixteenBitsAreThoseOfEightScaled) {
   }
 }
 
-TEST(Warp, EveryInstructionSetGivesTheSameBytes) {
-  const ImageShape source{190, 100, 3};
-  const std::vector<uint8_t> noise = Noise(source);
-  const auto lens = Affine(181, 90, 1.013, 1.3, 0.97, 2.2, 0.05);
-  setenv("SIRPY_ISA", "baseline", 1);
-  const std::vector<uint8_t> baseline = Warped(lens, source, noise);
+class WarpInstructionSets : public testing::TestWithParam<const char*> {};
+
+TEST_P(WarpInstructionSets, GiveTheBytesOfTheBaseline) {
+  setenv("SIRPY_ISA", GetParam(), 1);
+  const bool there = [] {
+    try {
+      BestInstructionSet();
+      return true;
+    } catch (const InputError&) {
+      return false;
+    }
+  }();
   unsetenv("SIRPY_ISA");
-  EXPECT_EQ(Warped(lens, source, noise), baseline);
+  if (!there) GTEST_SKIP() << "this processor has no " << GetParam();
+  for (const int channels : {1, 3}) {
+    const ImageShape source{290, 60, channels};
+    const std::vector<uint8_t> noise = Noise(source);
+    // No, one and several whole vectors of pixels, and what is left over.
+    for (const int64_t width : {1, 2, 15, 17, 63, 64, 65, 127, 181, 255, 280}) {
+      const auto lens = Affine(width, 50, 1.013, 1.3, 0.97, 2.2, 0.05);
+      for (const Interpolation interpolation : {Interpolation::kNearest, Interpolation::kBilinear,
+                                                Interpolation::kBicubic, Interpolation::kLanczos}) {
+        setenv("SIRPY_ISA", "baseline", 1);
+        const std::vector<uint8_t> baseline = Warped(lens, source, noise, 10, interpolation);
+        setenv("SIRPY_ISA", GetParam(), 1);
+        const std::vector<uint8_t> wide = Warped(lens, source, noise, 10, interpolation);
+        unsetenv("SIRPY_ISA");
+        EXPECT_EQ(wide, baseline) << channels << " channels, width " << width;
+      }
+    }
+  }
 }
+
+INSTANTIATE_TEST_SUITE_P(Warp, WarpInstructionSets, testing::Values("avx2", "avx512"),
+                         [](const auto& info) { return info.param; });
 
 }  // namespace
 }  // namespace sirpy
