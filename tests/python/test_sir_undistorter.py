@@ -365,15 +365,17 @@ def test_the_memory_is_for_what_is_stored(
         assert largest <= side * side
 
 
-def test_16_bit_photographs_are_refused_where_the_engine_takes_jpeg(
-    inputs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_16_bit_photographs_are_8_bit_where_the_engine_takes_jpeg(
+    inputs: list[str], tmp_path: Path
 ) -> None:
-    deep = np.zeros((HEIGHT, WIDTH, 3), np.uint16)
+    deep = np.full((HEIGHT, WIDTH, 3), 500, np.uint16)
+    deep[:, WIDTH // 2 :] = 1000
     for number in (1, 2):
         write_raster(tmp_path / "deep.tif", deep)
         (tmp_path / "deep.tif").rename(tmp_path / "photographs" / f"{number}.jpg")
-    assert main([*inputs, "--output_type=PMVS"]) == 2
-    error = capsys.readouterr().err
-    assert "has 3 channels of 16 bits, which a jpg cannot hold" in error
-    assert "convert it to 8-bit RGB" in error
-    assert not (tmp_path / "out").exists()
+    assert main([*inputs, "--output_type=PMVS"]) == 0
+    image = pycolmap.Bitmap.read(tmp_path / "out" / "pmvs" / "visualize" / "00000000.jpg", True)
+    pixels = np.asarray(image.to_array()).astype(int)
+    # The photograph's white becomes 255.
+    assert abs(pixels[:, 10 : WIDTH // 2 - 10] - 127.5).max() <= 2
+    assert pixels[:, WIDTH // 2 + 10 :].min() >= 253
