@@ -24,10 +24,10 @@ import numpy as np
 import pycolmap
 from sirpy.files import written_whole
 from sirpy.model_arrays import PosedImage, SparseModel, read_arrays, write_model
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.rectangle import Grid
 from sirpy.resources import Meter
 from sirpy.sub_image_model import sub_image_model, undistorted_model
-from sirpy.workspace import NativeImage, SubImage
 
 WIDTH, HEIGHT, FOCAL = 13470, 8670, 12000.0
 LENSES = {

@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy.errors import InputError
+from sirpy.native_images import NativeImage
 from sirpy.native_scene import Floats, NativeCamera, NativeScene
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import observations_around
-from sirpy.workspace import NativeImage
 
 if TYPE_CHECKING:
     from pyproj import CRS

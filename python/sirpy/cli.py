@@ -14,9 +14,9 @@ from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
 
 if TYPE_CHECKING:
+    from sirpy.native_images import LeftOut
     from sirpy.pipeline import Reconstruction
     from sirpy.rectangle import Grid
-    from sirpy.workspace import LeftOut
 
 app = typer.Typer(
     name="sirpy",

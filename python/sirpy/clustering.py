@@ -22,9 +22,10 @@ import numpy.typing as npt
 from sirpy.colmap_lists import is_listable, names_note
 from sirpy.errors import InputError
 from sirpy.files import read_json, write_json, written_whole
+from sirpy.native_images import NativeImage
 from sirpy.native_scene import Floats, Indices, NativeScene, read_native_scene
 from sirpy.progress import Progress
-from sirpy.workspace import NativeImage, Workspace
+from sirpy.workspace import Workspace
 
 _ENOUGH = 3  # sub-images of different photographs that see a point: the finest and two to match it against
 _AS_FINE = 1.1  # times the finest GSD counts as finest

@@ -14,6 +14,7 @@ from sirpy.errors import InputError
 from sirpy.layout import Layout
 from sirpy.lens import UndistortOptions, undistorted_camera
 from sirpy.model_arrays import SparseModel
+from sirpy.native_images import LeftOut, NativeImage
 from sirpy.native_scene import NativeScene
 from sirpy.photographs import (
     Bands,
@@ -26,7 +27,6 @@ from sirpy.photographs import (
     open_photograph,
 )
 from sirpy.progress import Progress
-from sirpy.workspace import LeftOut, NativeImage
 
 Format = Literal["jpg", "png", "tif"]
 

@@ -23,6 +23,7 @@ from sirpy.layout import Layout, Region
 from sirpy.lens import Undistortion, UndistortOptions, undistortion
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
 from sirpy.model_files import find_model, model_identity
+from sirpy.native_images import LeftOut, NativeImage
 from sirpy.native_scene import NativeScene, native_scene
 from sirpy.photographs import check_folders, recapture_to_files, white_level
 from sirpy.planning import plan
@@ -30,7 +31,7 @@ from sirpy.progress import Progress
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import sub_image_model, undistorted_model
 from sirpy.sub_image_sets import of_one_size, with_points
-from sirpy.workspace import LeftOut, NativeImage, Workspace, check_writable
+from sirpy.workspace import Workspace, check_writable
 
 # To be raised when the same inputs and options begin to give other files.
 _VERSION = 2

@@ -21,12 +21,13 @@ import numpy.typing as npt
 from sirpy import _core
 from sirpy.errors import InputError
 from sirpy.files import fingerprint
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import SubImageViews, read_views
 from sirpy.windows import read_map, read_map_window, read_mask_window, read_window, write_map
-from sirpy.workspace import NativeImage, Pass, SubImage, Workspace
+from sirpy.workspace import Pass, Workspace
 
 FloatMap = npt.NDArray[np.float32]
 ByteMap = npt.NDArray[np.uint8]

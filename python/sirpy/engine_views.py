@@ -17,12 +17,13 @@ import numpy as np
 from sirpy.engine_options import CopyPolicy
 from sirpy.errors import InputError
 from sirpy.files import place
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import Floats, Indices, NativeCamera, NativeScene, read_native_scene
 from sirpy.photographs import open_photograph
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import MOST_SOURCES, SubImageViews, source_scores, sub_image_views
-from sirpy.workspace import NativeImage, SubImage, Workspace
+from sirpy.workspace import Workspace
 
 _FLOAT32_STEP = 2.0**-23  # relative
 _TOLERATED_PIXELS = 0.1

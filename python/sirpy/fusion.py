@@ -15,12 +15,13 @@ import numpy.typing as npt
 from sirpy import _core
 from sirpy.errors import InputError
 from sirpy.files import fingerprint, written_whole
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import Views, read_views
 from sirpy.windows import read_map_window, read_window
-from sirpy.workspace import NativeImage, SubImage, Workspace
+from sirpy.workspace import Workspace
 
 # What every reader of PLY clouds knows: 27 bytes per point.
 POINT = np.dtype(

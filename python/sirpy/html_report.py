@@ -19,10 +19,11 @@ from sirpy.cloud_picture import draw_cloud, mean_view
 from sirpy.dense_stereo import count_reasons
 from sirpy.files import read_json, written_whole
 from sirpy.model_arrays import read_arrays
+from sirpy.native_images import NativeImage
 from sirpy.pictures import depth_colours, encoded_jpeg
 from sirpy.ply import read_vertices
 from sirpy.progress import duration
-from sirpy.workspace import NativeImage, Workspace
+from sirpy.workspace import Workspace
 
 _GRID_SIDE = 1400  # longest side of the embedded pictures, pixels
 _DEPTH_SIDE = 800

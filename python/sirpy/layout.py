@@ -13,8 +13,8 @@ from pathlib import Path
 
 from sirpy.area import Area, read_area
 from sirpy.errors import InputError
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.rectangle import Grid, Rectangle
-from sirpy.workspace import NativeImage, SubImage
 
 
 @dataclass(frozen=True)

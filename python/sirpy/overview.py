@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sirpy.errors import InputError
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.windows import open_map
-from sirpy.workspace import NativeImage, SubImage, Workspace
+from sirpy.workspace import Workspace
 
 _CACHE = 64  # of GDAL's blocks, MB
 

@@ -17,6 +17,7 @@ from sirpy.html_report import report
 from sirpy.layout import Region
 from sirpy.model_arrays import read_arrays
 from sirpy.model_files import model_identity
+from sirpy.native_images import LeftOut
 from sirpy.native_scene import native_scene
 from sirpy.photographs import check_folders, check_masks, find_photographs
 from sirpy.planning import Plan, plan
@@ -26,7 +27,7 @@ from sirpy.resources import Meter
 from sirpy.sparse_model import predicted_sparse_peak, sparse
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources, views
-from sirpy.workspace import LeftOut, Workspace, check_writable
+from sirpy.workspace import Workspace, check_writable
 
 DEFAULT_MEMORY = 8_000_000_000  # bytes
 

@@ -18,12 +18,12 @@ from sirpy.errors import BudgetError, InputError
 from sirpy.layout import Layout, Region
 from sirpy.memory import IMAGE_CACHE_BYTES, gigabytes
 from sirpy.model_arrays import read_arrays
+from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeScene, native_scene
 from sirpy.photographs import open_photograph
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources, sub_image_views
-from sirpy.workspace import NativeImage
 
 # Python with numpy, pycolmap and rasterio loaded.
 _PROCESS_BYTES = 130_000_000

@@ -24,10 +24,11 @@ from sirpy.errors import BudgetError, InputError
 from sirpy.files import file_identity, fingerprint, read_json, write_json
 from sirpy.memory import gigabytes
 from sirpy.model_files import model_identity, read_model
+from sirpy.native_images import LeftOut
 from sirpy.photographs import check_folders, decimate, find_photographs, photograph_size
 from sirpy.progress import Progress, Steps
 from sirpy.structure_from_motion import DecimatedPhotograph, Task, first_octave
-from sirpy.workspace import LeftOut, Workspace, check_writable
+from sirpy.workspace import Workspace, check_writable
 
 __all__ = [
     "SparseResult",

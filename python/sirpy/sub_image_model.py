@@ -13,7 +13,7 @@ import numpy as np
 from sirpy import _core
 from sirpy.lens import UndistortOptions, moved_between, undistorted_camera
 from sirpy.model_arrays import SparseModel
-from sirpy.workspace import NativeImage
+from sirpy.native_images import NativeImage
 
 
 def undistorted_model(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sirpy.errors import InputError
+from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeScene
 from sirpy.view_selection import points_seen
-from sirpy.workspace import NativeImage
 
 
 def of_one_size(natives: list[NativeImage], multiple: int) -> list[NativeImage]:

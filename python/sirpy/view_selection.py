@@ -21,6 +21,7 @@ import numpy.typing as npt
 from sirpy.colmap_lists import is_listable, is_source, names_note
 from sirpy.errors import InputError
 from sirpy.files import fingerprint, read_json, write_json, written_whole
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import (
     Floats,
     Indices,
@@ -31,7 +32,7 @@ from sirpy.native_scene import (
 )
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
-from sirpy.workspace import NativeImage, SubImage, Workspace
+from sirpy.workspace import Workspace
 
 ALIGNMENT = 8  # native pixels: windows start and end on the lattice of the coarsest pyramid level
 MOST_SOURCES = 16  # of a sub-image: what the estimator holds

@@ -20,9 +20,10 @@ from sirpy import _core
 from sirpy.errors import InputError
 from sirpy.files import file_identity, written_whole
 from sirpy.memory import IMAGE_CACHE_BYTES
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.photographs import open_photograph, recapture_to_array
 from sirpy.rectangle import Rectangle
-from sirpy.workspace import NativeImage, Pass, SubImage, Workspace
+from sirpy.workspace import Pass, Workspace
 
 _LONGEST_HEADER = 64
 _BYTES_PER_PIXEL = {"grey": 1, "color": 3, "all": 8}

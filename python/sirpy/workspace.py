@@ -25,20 +25,18 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from sirpy import __version__
 from sirpy.errors import InputError, OutputError
 from sirpy.files import read_json, write_json
-from sirpy.rectangle import Rectangle
+from sirpy.native_images import LeftOut, NativeImage, SubImage, read_index, write_index
 
 Pass = Literal["photometric", "geometric"]
 MapFolder = Literal["depth_maps", "normal_maps", "consistency_graphs"]
 
-_INDEX_VERSION = 2  # of sir.json
 # Names of `files.written_whole` and of the core's writers: .STEM.PID.tmp.EXT
 _UNFINISHED = re.compile(r"\..+\.\d+\.tmp(\.[^.]*)?", re.DOTALL)
 
@@ -78,61 +76,6 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
     "fuse": ("fusion", "fused.ply", "fused.ply.vis", "meshed-poisson.ply", "run.json"),
     "report": ("report.html", "cloud.png"),
 }
-
-
-@dataclass(frozen=True)
-class SubImage:
-    """A rectangle of an undistorted native image, with the file that holds it.
-
-    `core` are the pixels it owns (every pixel of the region that is cut has exactly one owner), `stored`
-    the pixels in the file: the core and the overlap, clipped to the region. Both in native pixels.
-    """
-
-    name: str
-    row: int
-    column: int
-    core: Rectangle
-    stored: Rectangle
-
-
-@dataclass(frozen=True)
-class NativeImage:
-    """An undistorted native image: size in pixels and the sub-images of the region that is cut, row by
-    row; of an area those that see it.
-
-    `white` is the sample value that shows as white, 255 unless samples have 16 bits; `masked` says
-    that its sub-images have masks.
-    """
-
-    name: str
-    width: int
-    height: int
-    sub_images: tuple[SubImage, ...]
-    white: int = 255
-    masked: bool = False
-
-    @property
-    def rectangle(self) -> Rectangle:
-        return Rectangle(0, 0, self.width, self.height)
-
-    @property
-    def covered(self) -> Rectangle:
-        """The smallest rectangle around all that the sub-images own; there is one at least."""
-        cores = [sub.core for sub in self.sub_images]
-        return Rectangle.from_corners(
-            min(one.x0 for one in cores),
-            min(one.y0 for one in cores),
-            max(one.x1 for one in cores),
-            max(one.y1 for one in cores),
-        )
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A photograph that could not be used, and why."""
-
-    name: str
-    reason: str
 
 
 class Workspace:
@@ -310,54 +253,17 @@ class Workspace:
     def write_index(self, natives: list[NativeImage], left_out: list[LeftOut]) -> None:
         """Writes sir.json."""
         self._forget_index()
-        write_json(
-            self.index,
-            {
-                "version": _INDEX_VERSION,
-                "images": [
-                    {
-                        "name": native.name,
-                        "width": native.width,
-                        "height": native.height,
-                        "white": native.white,
-                        "masked": native.masked,
-                        "sub_images": [
-                            {
-                                "name": sub.name,
-                                "row": sub.row,
-                                "column": sub.column,
-                                "core": sub.core.as_list(),
-                                "stored": sub.stored.as_list(),
-                            }
-                            for sub in native.sub_images
-                        ],
-                    }
-                    for native in natives
-                ],
-                "left_out": [{"name": out.name, "reason": out.reason} for out in left_out],
-            },
-        )
+        write_index(self.index, natives, left_out)
 
     @cached_property
     def _index(self) -> tuple[tuple[NativeImage, ...], tuple[LeftOut, ...]]:
         try:
-            return read_json(self.index, self._parsed_index, "delete it and cut again")
+            return read_index(self.index)
         except FileNotFoundError:
             raise InputError(
                 f"{self.folder} is not a sirpy workspace (it has no sir.json): "
                 "run `sirpy cut` or `sirpy reconstruct` first"
             ) from None
-
-    def _parsed_index(self, index: Any) -> tuple[tuple[NativeImage, ...], tuple[LeftOut, ...]]:
-        if index["version"] != _INDEX_VERSION:
-            raise InputError(
-                f"{self.index} was made by another version of sirpy: delete it and cut again"
-            )
-        natives = tuple(_parsed_native(image) for image in index["images"])
-        left_out = [LeftOut(str(out["name"]), str(out["reason"])) for out in index["left_out"]]
-        if not all(native.sub_images for native in natives):
-            raise ValueError("an image without sub-images")
-        return natives, tuple(left_out)
 
     @property
     def natives(self) -> tuple[NativeImage, ...]:
@@ -490,29 +396,6 @@ def check_writable(folder: Path) -> None:
             f"the output folder {folder} cannot be written ({error.strerror}): "
             "choose another with --output"
         ) from error
-
-
-def _parsed_native(image: Any) -> NativeImage:
-    if not 1 <= image["white"] <= 65535:
-        raise ValueError(f"white = {image['white']}")
-    sub_images = tuple(
-        SubImage(
-            str(sub["name"]),
-            int(sub["row"]),
-            int(sub["column"]),
-            Rectangle(*map(int, sub["core"])),
-            Rectangle(*map(int, sub["stored"])),
-        )
-        for sub in image["sub_images"]
-    )
-    return NativeImage(
-        str(image["name"]),
-        int(image["width"]),
-        int(image["height"]),
-        sub_images,
-        int(image["white"]),
-        bool(image["masked"]),
-    )
 
 
 def _remove(path: Path) -> None:

@@ -24,9 +24,10 @@ from sirpy.cutting import cut
 from sirpy.errors import InputError
 from sirpy.exporting import export
 from sirpy.layout import Layout
+from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeCamera, NativeScene, Observations
 from sirpy.rectangle import Grid
-from sirpy.workspace import NativeImage, Workspace
+from sirpy.workspace import Workspace
 from typer.testing import CliRunner
 
 

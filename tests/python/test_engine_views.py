@@ -10,8 +10,9 @@ from engine_scenes import cut_town, expected_pixels, moved, without_points
 from scenes import plane_scene
 from sirpy.engine_views import EngineView, engine_views, place_images, precision_note, size_note
 from sirpy.errors import InputError
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.rectangle import Grid
-from sirpy.workspace import NativeImage, SubImage, Workspace
+from sirpy.workspace import Workspace
 
 WIDTH, HEIGHT = 800, 600
 SCENE = plane_scene(count=5, width=WIDTH, height=HEIGHT)

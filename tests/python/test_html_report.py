@@ -13,10 +13,11 @@ from rasterio.io import MemoryFile
 from sirpy import html_report, overview, synthetic
 from sirpy.dense_stereo import Reason
 from sirpy.errors import InputError
+from sirpy.native_images import LeftOut, NativeImage, SubImage
 from sirpy.pictures import encoded_png
 from sirpy.rectangle import Grid, Rectangle
 from sirpy.windows import write_map
-from sirpy.workspace import LeftOut, NativeImage, SubImage, Workspace
+from sirpy.workspace import Workspace
 
 SIZE = (240, 160)
 OVERLAP = 8

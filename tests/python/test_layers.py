@@ -11,7 +11,7 @@ PACKAGE = Path(sirpy.__file__).parent
 # Each line may import from the lines above it, and from modules to its left.
 LAYERS = """
     engine_options errors files memory rectangle resources
-    workspace progress
+    native_images workspace progress
     _core
     photographs exif ply pictures
     flight truth synthetic

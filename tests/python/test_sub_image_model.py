@@ -3,9 +3,9 @@ import pycolmap
 import pytest
 from sirpy.layout import Layout
 from sirpy.model_arrays import read_arrays
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.rectangle import Grid, Rectangle
 from sirpy.sub_image_model import sub_image_model, undistorted_model
-from sirpy.workspace import NativeImage, SubImage
 from sub_image_scenes import camera, model_of, read_by_pycolmap, residuals
 
 

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sirpy.cutting import cut
 from sirpy.errors import InputError
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.rectangle import Grid
 from sirpy.sub_image_sets import of_one_size
 from sirpy.windows import read_window
-from sirpy.workspace import NativeImage, SubImage
 from sub_image_scenes import HEIGHT, WIDTH, camera, model_of, noise, write_image
 
 

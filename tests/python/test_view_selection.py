@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import plane_scene
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.rectangle import Grid, Rectangle
 from sirpy.view_selection import ALIGNMENT, aligned, source_window, sub_image_views
-from sirpy.workspace import NativeImage, SubImage
 
 SCENE = plane_scene(count=7, width=800, height=600)
 CAMERAS = list(SCENE.cameras.values())
