@@ -173,7 +173,7 @@ def write_model(model: SparseModel, folder: Path) -> None:
     COLMAP 3.8 reads cameras, images and points3D, and passes over the rigs and frames of 4.x.
 
     Raises:
-        OutputError: the folder cannot be written.
+        OutputError: the folder cannot be written, holds anything but a model, or is the current one.
     """
     _core.write_model(model.to_core(), folder)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 import pytest
 from sirpy import _core
-from sirpy.errors import InputError
+from sirpy.errors import InputError, OutputError
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
 from sub_image_scenes import LENSES, camera, model_of
 
@@ -123,11 +123,20 @@ def test_the_files_are_those_that_pycolmap_writes(tmp_path: Path) -> None:
 def test_a_model_replaces_the_one_before_it(tmp_path: Path) -> None:
     model = read_arrays(all_lenses())
     write_model(model, tmp_path / "sparse")
-    (tmp_path / "sparse" / "stale.txt").touch()
+    (tmp_path / "sparse" / "points3D.txt").touch()  # of what else wrote a model there
     write_model(model.taking([0, 2]), tmp_path / "sparse")
     assert [path.name for path in tmp_path.iterdir()] == ["sparse"]
     assert sorted(path.name for path in (tmp_path / "sparse").iterdir()) == sorted(FILES)
     assert len(read_arrays(tmp_path / "sparse").images) == 2
+
+
+def test_a_folder_with_anything_but_a_model_is_not_replaced(tmp_path: Path) -> None:
+    model = read_arrays(all_lenses())
+    (tmp_path / "notes.txt").touch()
+    for folder in (tmp_path, tmp_path / "new" / ".."):
+        with pytest.raises(OutputError, match=r"holds notes\.txt, no part of a model; choose"):
+            write_model(model, folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.skipif(shutil.which("colmap") is None, reason="needs the program colmap")

@@ -40,7 +40,7 @@ TEST(TemporaryPath, LongNamesAreShortenedAndStayApart) {
 }
 
 TEST(PartialFile, NamesAsLongAsTheFileSystemTakes) {
-  const fs::path folder = fs::path(testing::TempDir()) / "long";
+  const fs::path folder = fs::path(testing::TempDir()) / ("long-" + std::to_string(getpid()));
   for (size_t length : {240, 251}) {
     const fs::path path = folder / (std::string(length, 'n') + ".jpg");
     PartialFile file(path);

@@ -1,6 +1,8 @@
 // Photographs of several blocks of rows, so that a block is decoded while that before is worked on.
 #include "sub_image/recapture.h"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -68,12 +70,6 @@ class Rows : public ImageReader {
 
 class RecaptureTest : public testing::Test {
  protected:
-  RecaptureTest()
-      : folder_(fs::path(testing::TempDir()) /
-                ("recapture-" +
-                 std::string(testing::UnitTest::GetInstance()->current_test_info()->name()))) {
-    fs::remove_all(folder_);
-  }
   ~RecaptureTest() override { fs::remove_all(folder_); }
 
   fs::path Written(const char* name, const ImageShape& shape) const {
@@ -86,7 +82,8 @@ class RecaptureTest : public testing::Test {
 
   int64_t NumFiles() const { return std::distance(fs::directory_iterator(folder_), {}); }
 
-  fs::path folder_;
+  // Tests run side by side.
+  const fs::path folder_ = fs::path(testing::TempDir()) / ("recapture-" + std::to_string(getpid()));
 };
 
 const std::vector<std::pair<const char*, ImageShape>> kPhotographs = {
