@@ -229,8 +229,9 @@ def _held_bytes(raster: Any, pixel_bytes: int) -> int:
         )
     # A block is read before it is decoded; where there is only one, that is the whole file.
     stored = int(raster.get_tag_item("BLOCK_SIZE_0_0", "TIFF", bidx=1) or 0)
-    width = int(raster.width)
-    return 3 * _block_rows(rows) * width * pixel_bytes + stored + 1_000_000 * _CACHE
+    row_bytes = int(raster.width) * pixel_bytes
+    cached = min(1_000_000 * _CACHE, row_bytes * int(raster.height))
+    return 3 * _block_rows(rows) * row_bytes + stored + cached
 
 
 def _block_rows(rows: int) -> int:
