@@ -116,6 +116,7 @@ def _make(work: Path, count: int, width: int, height: int) -> None:
         jpeg_chroma=CHROMA,
         last_is_alpha=False,
         in_memory=False,
+        white=0,
     )
     across = np.arange(width) % len(tile)
     for row in range(height):
