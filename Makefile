@@ -15,7 +15,7 @@ OUTPUT ?= demo/$(if $(IMAGES),$(shell basename "$(IMAGES)"),scene)
 
 SOURCES := $(shell find cpp python -name '*.cc' -o -name '*.h' -o -name 'CMakeLists.txt' \
              -o -name '*.py' -o -name '*.pyi' -o -name '*.css') CMakeLists.txt pyproject.toml
-CPP_FILES = $(shell find cpp tests/cpp -name '*.cc' -o -name '*.h')
+CPP_FILES = $(shell find cpp tests/cpp benchmarks -name '*.cc' -o -name '*.h')
 
 .PHONY: demo test lint clean
 .DELETE_ON_ERROR:
