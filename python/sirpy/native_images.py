@@ -50,13 +50,13 @@ class NativeImage:
 
     @property
     def covered(self) -> Rectangle:
-        """The smallest rectangle around all that the sub-images own; there is one at least."""
-        cores = [sub.core for sub in self.sub_images]
+        """The smallest rectangle around all that the sub-images store; there is one at least."""
+        stored = [sub.stored for sub in self.sub_images]
         return Rectangle.from_corners(
-            min(one.x0 for one in cores),
-            min(one.y0 for one in cores),
-            max(one.x1 for one in cores),
-            max(one.y1 for one in cores),
+            min(one.x0 for one in stored),
+            min(one.y0 for one in stored),
+            max(one.x1 for one in stored),
+            max(one.y1 for one in stored),
         )
 
 

@@ -21,7 +21,7 @@ from sirpy.model_arrays import read_arrays
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeScene, native_scene
 from sirpy.photographs import open_photograph
-from sirpy.rectangle import Grid
+from sirpy.rectangle import Grid, Rectangle
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources, sub_image_views
 
@@ -127,44 +127,42 @@ def plan(
         else native_scene(undistorted_model(read_arrays(model)))
     )
     seeing = AreaFilter(region.area, scene) if region.area is not None else None
-    # Which photographs are cut does not depend on the grid.
-    names = list(_cut_images(scene, Layout(Grid(1, 1), 0, region), seeing, list(scene.cameras)))
-    if seeing is not None and not names:
+    # Which photographs are cut, and how much of them at most, does not depend on the grid.
+    uncut = _cut_images(scene, Layout(Grid(1, 1), 0, region), seeing, list(scene.cameras))
+    if seeing is not None and not uncut:
         raise seeing.nothing_left()
+    names = list(uncut)
     held, notes = _held_bytes(Path(images), names) if images else ({}, ())
+    covered = {name: native.covered for name, native in uncut.items()}
 
     def predict(candidate: Grid, some: list[str]) -> Plan:
         layout = Layout(candidate, overlap, region)
         # Smaller sub-images lie closer to what they see: an area may be seen by none of some.
         natives = _cut_images(scene, layout, seeing, some)
         natives = natives or _cut_images(scene, layout, seeing, names)
-        return _predict(scene, candidate, natives, num_sources, halo, held, notes)
+        return _predict(scene, candidate, natives, covered, num_sources, halo, held, notes)
 
-    if grid is None:
+    candidates, peaks = [grid] if grid else list(_candidates(scene, region, names)), list[int]()
+    if grid is None and memory is not None:
         some = names[:: -(-len(names) // _MOST_IMAGES)]
-        grid, least = _coarsest(
-            list(_candidates(scene, region, names)),
-            lambda candidate: predict(candidate, some).peak,
-            memory,
-        )
-        subject = "the least that would do is"
-    else:
-        subject = f"a grid of {grid} sub-images needs"
-    if grid is not None:
-        found = predict(grid, names)
-        least = found.peak
-        if memory is None or least <= memory:
+        first, least = _coarsest(candidates, lambda one: predict(one, some).peak, memory)
+        candidates, peaks = candidates[first:], [least]
+    for candidate in candidates:  # the first, unless what was not looked at needs more
+        found = predict(candidate, names)
+        if memory is None or found.peak <= memory:
             return found
+        peaks.append(found.peak)
+    subject = f"a grid of {grid} sub-images needs" if grid else "the least that would do is"
+    least = min(peaks)
     raise BudgetError(
         f"no plan fits into --memory {gigabytes(memory or 0)}: {subject} {gigabytes(least)}, "
         "or fewer --num-sources"
     )
 
 
-def _coarsest(
-    candidates: list[Grid], peak: Callable[[Grid], int], memory: int | None
-) -> tuple[Grid | None, int]:
-    """The first candidate whose peak is within `memory`, if any, and the least peak that was seen.
+def _coarsest(candidates: list[Grid], peak: Callable[[Grid], int], memory: int) -> tuple[int, int]:
+    """The place of the first candidate whose peak is within `memory`, the end if there is none, and the
+    least peak that was seen.
 
     By bisection: the peak falls from one candidate to the next, but for some per cent.
     """
@@ -172,20 +170,20 @@ def _coarsest(
 
     def fits(index: int) -> bool:
         peaks[index] = peak(candidates[index])
-        return memory is None or peaks[index] <= memory
+        return peaks[index] <= memory
 
-    if fits(0):
-        return candidates[0], peaks[0]
     low, high = 0, len(candidates) - 1
+    if fits(0):
+        return 0, peaks[0]
     if high == 0 or not fits(high):
-        return None, min(peaks.values())
+        return len(candidates), min(peaks.values())
     while high - low > 1:
         middle = (low + high) // 2
         if fits(middle):
             high = middle
         else:
             low = middle
-    return candidates[high], peaks[high]
+    return high, min(peaks.values())
 
 
 def grid_for_memory(
@@ -280,12 +278,12 @@ def _predict(
     scene: NativeScene,
     grid: Grid,
     natives: dict[str, NativeImage],
+    covered: dict[str, Rectangle],
     num_sources: int,
     halo: int,
     held: dict[str, int],
     notes: tuple[str, ...],
 ) -> Plan:
-    covered = {name: native.covered for name, native in natives.items()}
     units = [
         (native, sub)
         for native in list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]

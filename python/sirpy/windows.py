@@ -1,6 +1,7 @@
 """Windows: any rectangle of an undistorted native image, read across the borders of its sub-images.
 
-Every pixel comes from the sub-image that owns it, so a window does not depend on the grid. Also the
+Every pixel comes from the sub-image that owns it, so a window does not depend on the grid; the few that have
+no owner from one that stores them. Also the
 depth and normal maps of sub-images, in COLMAP's format: the header `width&height&channels&`, then
 little-endian float32 planes, row-major.
 """
@@ -207,13 +208,19 @@ def write_map(path: Path, array: NDArray[np.float32]) -> None:
 
 
 def _parts(native: NativeImage, rectangle: Rectangle) -> Iterator[tuple[SubImage, Rectangle]]:
-    """The sub-images that own pixels of `rectangle`, each with those, in native pixels."""
+    """Sub-images with the parts of `rectangle` to be taken from them, in native pixels; later ones
+    replace earlier ones.
+
+    Pixels come from their owner; those that have none (outside a region of interest, for example) from a
+    sub-image that stores them as its overlap.
+    """
     if rectangle.area == 0 or not native.rectangle.contains(rectangle):
         raise ValueError(f"{rectangle} is not inside {native.name}, {native.rectangle}")
-    for sub in native.sub_images:
-        part = sub.core.intersection(rectangle)
-        if part.area > 0:
-            yield sub, part
+    cores = [(sub, sub.core.intersection(rectangle)) for sub in native.sub_images]
+    if sum(part.area for _, part in cores) < rectangle.area:
+        stored = [(sub, sub.stored.intersection(rectangle)) for sub in native.sub_images]
+        yield from ((sub, part) for sub, part in stored if part.area > 0)
+    yield from ((sub, part) for sub, part in cores if part.area > 0)
 
 
 def _open_map(path: Path) -> NDArray[np.float32]:

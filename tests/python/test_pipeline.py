@@ -14,12 +14,15 @@ import numpy as np
 import pytest
 from sirpy.area import Area
 from sirpy.colmap_launcher import installed_colmap
-from sirpy.dense_stereo import Reason, StereoOptions
+from sirpy.cutting import cut as cut_photographs
+from sirpy.dense_stereo import Reason, StereoOptions, stereo
 from sirpy.layout import Region
+from sirpy.model_arrays import read_arrays
 from sirpy.pipeline import reconstruct
 from sirpy.ply import read_vertices
 from sirpy.rectangle import Grid, Rectangle
 from sirpy.synthetic import evaluate
+from sirpy.view_selection import views
 from sirpy.windows import read_map
 from sirpy.workspace import Workspace
 from sub_image_scenes import write_image
@@ -48,6 +51,26 @@ def test_cutting_costs_no_quality(town: Path, whole: Path, cut: Path) -> None:
     assert of_whole.accuracy[0] > 0.85 and of_whole.completeness[0] > 0.75
     assert abs(of_whole.completeness[0] - of_cut.completeness[0]) < 0.02
     assert abs(of_whole.accuracy[0] - of_cut.accuracy[0]) < 0.02
+
+
+def test_overlap_that_reaches_out_of_an_area_has_depth_too(town: Path, tmp_path: Path) -> None:
+    model = read_arrays(town / "sparse")
+    low, high = (np.percentile(model.points[:, :2], q, axis=0) for q in (48, 52))
+    corners = [low, [high[0], low[1]], high, [low[0], high[1]], low]
+    workspace = cut_photographs(
+        town / "images",
+        town / "sparse",
+        tmp_path / "out",
+        grid=Grid(4, 4),
+        overlap=20,
+        region=Region(area=Area(((np.array(corners, float),),))),
+    )
+    views(workspace)
+    stereo(workspace)
+    for native, sub in workspace.sub_images():
+        depth = read_map(workspace.depth_map(sub, "geometric"))
+        assert depth.shape == (sub.stored.height, sub.stored.width)
+        assert native.covered.contains(sub.stored)
 
 
 def test_masked_pixels_have_no_depth(town: Path, tmp_path: Path) -> None:

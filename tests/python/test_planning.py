@@ -181,8 +181,16 @@ def test_the_coarsest_grid_is_found_by_bisection() -> None:
             asked.append(grid.columns)
             return 1000 // grid.columns
 
-        found, _ = _coarsest(grids, peak, 1000 // columns)
-        assert found is not None and 1000 // found.columns <= 1000 // columns
-        assert found.columns == 1 or 1000 // (found.columns - 1) > 1000 // columns
+        found = grids[_coarsest(grids, peak, 1000 // columns)[0]].columns
+        assert 1000 // found <= 1000 // columns
+        assert found == 1 or 1000 // (found - 1) > 1000 // columns
         assert len(asked) <= 8
-    assert _coarsest(grids, lambda grid: 1000 // grid.columns, 20) == (None, 25)
+    assert _coarsest(grids, lambda grid: 1000 // grid.columns, 20) == (39, 25)
+
+
+def test_a_plan_that_looks_at_some_photographs_fits_for_all() -> None:
+    scene = plane_scene(count=45, width=4000, height=3000, spacing=8.0)
+    peak = plan(scene, memory=None, grid=Grid(1, 1)).peak
+    assert plan(scene, memory=peak).grid == Grid(1, 1)
+    finer = plan(scene, memory=peak - 1)
+    assert finer.peak < peak and finer.grid == Grid(2, 2)

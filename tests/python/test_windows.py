@@ -153,6 +153,24 @@ def test_pixels_that_no_sub_image_holds_are_0(tmp_path: Path, pixels: np.ndarray
         read_window(workspace, "b.png", whole)
 
 
+def test_pixels_without_an_owner_come_from_the_overlap(tmp_path: Path, pixels: np.ndarray) -> None:
+    write_image(tmp_path / "photos" / "a.png", pixels)
+    workspace = cut(
+        tmp_path / "photos",
+        model_of(["a.png"], [camera("PINHOLE")]),
+        tmp_path / "out",
+        identity="",
+        grid=Grid(2, 2),
+        region=Region(roi=Rectangle(30, 20, 20, 20)),
+        same_size=16,  # larger than the region: 16 x 16 of 10 x 10
+    )
+    native = workspace.natives[0]
+    assert native.covered.contains(Rectangle(29, 19, 22, 22))
+    whole = native.rectangle
+    part = pixels[native.covered.slices_in(whole)]
+    np.testing.assert_array_equal(read_window(workspace, "a.png", native.covered, "color"), part)
+
+
 def test_the_cache_is_bounded_and_sees_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,7 +38,7 @@ constexpr int64_t kLongestPngSide = 1'000'000;  // libpng's bound
 
 // `path` ends in .jpg or .jpeg (8 bit, 1 or 3 channels), .png (8 or 16 bit, up to 4 channels) or
 // .tif (8 or 16 bit, any number of channels). Throws std::invalid_argument for anything else,
-// OutputError when the file cannot be opened.
+// InputError when a side is too long for the format, OutputError when the file cannot be opened.
 std::unique_ptr<ImageWriter> OpenImageWriter(const std::filesystem::path& path,
                                              const ImageShape& shape, const WriterOptions& options);
 

@@ -145,6 +145,8 @@ TEST_F(ImageFiles, FormatsRefuseWhatTheyCannotHold) {
   EXPECT_THROW(OpenImageWriter(folder_ / "a.jpg", {4, 4, 1, 2}, {}), std::invalid_argument);
   EXPECT_THROW(OpenImageWriter(folder_ / "a.jpg", {4, 4, 4, 1}, {}), std::invalid_argument);
   EXPECT_THROW(OpenImageWriter(folder_ / "a.png", {4, 4, 5, 1}, {}), std::invalid_argument);
+  EXPECT_THROW(OpenImageWriter(folder_ / "a.jpg", {70000, 4, 1, 1}, {}), InputError);
+  EXPECT_THROW(OpenImageWriter(folder_ / "a.png", {4, 1000001, 1, 1}, {}), InputError);
   EXPECT_THROW(OpenImageWriter(folder_ / "a.gif", {4, 4, 1, 1}, {}), std::invalid_argument);
 }
 
