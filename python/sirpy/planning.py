@@ -39,7 +39,9 @@ _CUT_BYTES_PER_COLUMN = 3000
 _FUSE_BYTES = (124, 8)  # per pixel of the core, and of each source window
 _REPORT_BYTES = 320_000_000  # its pictures, whatever the photographs
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
-_MOST_IMAGES, _MOST_SUB_IMAGES = 40, 1500  # that a plan looks at; evenly chosen when there are more
+# Photographs and sub-images that a plan looks at, evenly chosen when there are more; and sub-images while a grid is
+# searched for.
+_MOST_IMAGES, _MOST_SUB_IMAGES, _MOST_WHILE_SEARCHING = 40, 600, 150
 _NOTABLE_BYTES = 200_000_000  # of what has to be held of a photograph
 # Pixels that any stereo holds for each pixel of the reference: the reference and about 10 sources, at about 10
 # bytes each, and the maps. For workspaces that are made for other engines.
@@ -135,17 +137,19 @@ def plan(
     held, notes = _held_bytes(Path(images), names) if images else ({}, ())
     covered = {name: native.covered for name, native in uncut.items()}
 
-    def predict(candidate: Grid, some: list[str]) -> Plan:
+    def predict(candidate: Grid, some: list[str], most: int = _MOST_SUB_IMAGES) -> Plan:
         layout = Layout(candidate, overlap, region)
         # Smaller sub-images lie closer to what they see: an area may be seen by none of some.
         natives = _cut_images(scene, layout, seeing, some)
         natives = natives or _cut_images(scene, layout, seeing, names)
-        return _predict(scene, candidate, natives, covered, num_sources, halo, held, notes)
+        return _predict(scene, candidate, natives, covered, num_sources, halo, held, notes, most)
 
     candidates, peaks = [grid] if grid else list(_candidates(scene, region, names)), list[int]()
     if grid is None and memory is not None:
         some = names[:: -(-len(names) // _MOST_IMAGES)]
-        first, least = _coarsest(candidates, lambda one: predict(one, some).peak, memory)
+        first, least = _coarsest(
+            candidates, lambda one: predict(one, some, _MOST_WHILE_SEARCHING).peak, memory
+        )
         candidates, peaks = candidates[first:], [least]
     for candidate in candidates:  # the first, unless what was not looked at needs more
         found = predict(candidate, names)
@@ -283,6 +287,7 @@ def _predict(
     halo: int,
     held: dict[str, int],
     notes: tuple[str, ...],
+    most_sub_images: int,
 ) -> Plan:
     units = [
         (native, sub)
@@ -296,7 +301,7 @@ def _predict(
             sum(source.window.area for source in views.sources),
             views,
         )
-        for native, sub in units[:: -(-len(units) // _MOST_SUB_IMAGES)]
+        for native, sub in units[:: -(-len(units) // most_sub_images)]
         for views in [
             sub_image_views(scene, native, sub, num_sources=num_sources, halo=halo, covered=covered)
         ]
