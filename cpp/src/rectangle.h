@@ -3,6 +3,7 @@
 // rectangle may reach beyond the image.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 
 namespace sirpy {
@@ -16,6 +17,17 @@ struct Rectangle {
   int64_t x1() const { return x0 + width; }
   int64_t y1() const { return y0 + height; }
   int64_t Area() const { return width * height; }
+
+  bool Contains(const Rectangle& other) const {
+    return x0 <= other.x0 && y0 <= other.y0 && other.x1() <= x1() && other.y1() <= y1();
+  }
 };
+
+// The smallest rectangle that holds both.
+inline Rectangle Union(const Rectangle& a, const Rectangle& b) {
+  const int64_t x0 = std::min(a.x0, b.x0);
+  const int64_t y0 = std::min(a.y0, b.y0);
+  return {x0, y0, std::max(a.x1(), b.x1()) - x0, std::max(a.y1(), b.y1()) - y0};
+}
 
 }  // namespace sirpy

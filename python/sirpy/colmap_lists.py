@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from sirpy.errors import first_few
+
 _BLANKS = " \t\n\v\f\r"  # C's isspace
 
 
@@ -31,7 +33,7 @@ def names_note(names: Iterable[str], *, sources: bool) -> str:
     lost = [name for name in names if not (is_source if sources else is_listable)(name)]
     if not lost:
         return ""
-    shown = ", ".join(map(repr, lost[:3])) + (" ..." if len(lost) > 3 else "")
+    shown = first_few([repr(name) for name in lost])
     commas = ", or of sources with a comma or semicolon" if sources else ""
     return (
         f"COLMAP's lists cannot hold the names of {len(lost)} sub-images ({shown}), and leave them "

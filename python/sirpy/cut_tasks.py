@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import pycolmap
 
 from sirpy.area import AreaFilter
-from sirpy.errors import InputError
+from sirpy.errors import InputError, first_few
 from sirpy.layout import Layout
 from sirpy.lens import UndistortOptions, undistorted_camera
 from sirpy.model_arrays import SparseModel
@@ -77,6 +77,11 @@ class CutTask:
     camera: pycolmap.Camera
     native: NativeImage
     mask: Photograph | None
+
+    @property
+    def loses_bits(self) -> bool:
+        """16 bits become 8: a JPEG has no more."""
+        return self.photograph.bits > 8 and self.native.sub_images[0].name.endswith(".jpg")
 
 
 @dataclass(frozen=True)
@@ -186,8 +191,7 @@ def _report_masks(tasks: list[CutTask], masks: Path, progress: Progress) -> None
         )
     if without:
         progress.note(
-            f"{len(without)} of {len(tasks)} photographs have no mask in {masks}: {', '.join(without[:3])}"
-            f"{' ...' if len(without) > 3 else ''}"
+            f"{len(without)} of {len(tasks)} photographs have no mask in {masks}: {first_few(without)}"
         )
     for task in tasks:
         if task.mask is not None and task.mask.note:

@@ -17,7 +17,7 @@ from sirpy.cut_tasks import (
     nothing_left,
     of_natives,
 )
-from sirpy.errors import InputError
+from sirpy.errors import InputError, first_few
 from sirpy.files import file_identity, fingerprint
 from sirpy.layout import Layout, Region
 from sirpy.lens import Undistortion, UndistortOptions, undistortion
@@ -146,7 +146,7 @@ def _with_points(
     if dropped:
         progress.note(
             f"{len(dropped)} sub-images see fewer than {min_points} sparse points and are left "
-            f"out ({', '.join(dropped[:3])}{' ...' if len(dropped) > 3 else ''})"
+            f"out ({first_few(dropped)})"
         )
     return of_natives(tasks, kept)
 
@@ -190,8 +190,7 @@ def _cut_photographs(
 
 def _with_white(task: CutTask) -> NativeImage:
     """Its native image; where 16 bits are kept, with their white."""
-    deep = not task.native.sub_images[0].name.endswith(".jpg")
-    return replace(task.native, white=white_level(task.photograph) if deep else 255)
+    return replace(task.native, white=255 if task.loses_bits else white_level(task.photograph))
 
 
 def _paths(native: NativeImage, workspace: Workspace) -> list[Path]:
@@ -218,7 +217,7 @@ def _cut_photograph(
         [(workspace.image(sub), sub.stored) for sub in native.sub_images],
         interpolation=pixels.interpolation,
         encoding=pixels.encoding,
-        white=white_level(task.photograph) if native.sub_images[0].name.endswith(".jpg") else 0,
+        white=white_level(task.photograph) if task.loses_bits else 0,
     )
     if task.mask is not None:
         masks = [(workspace.mask(sub), sub.stored) for sub in native.sub_images]

@@ -7,7 +7,7 @@ from sirpy.clustering import read_clusters
 from sirpy.cmp_mvs import write_cmp_mvs
 from sirpy.colmap_workspace import write_dense_folder
 from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
-from sirpy.errors import InputError
+from sirpy.errors import InputError, first_few
 from sirpy.mvsnet import write_mvsnet
 from sirpy.pmvs import write_pmvs
 from sirpy.progress import Progress
@@ -80,4 +80,4 @@ def _export_colmap(
 
 
 def _sub_images(names: tuple[str, ...]) -> str:
-    return f"{len(names)} sub-images ({', '.join(names[:3])}{' ...' if len(names) > 3 else ''})"
+    return f"{len(names)} sub-images ({first_few(names)})"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn, get_args
 
 from sirpy.engine_options import CopyPolicy, Engine, FewPoints, MvsnetDepths
-from sirpy.errors import InputError
+from sirpy.errors import InputError, first_few
 
 _LOGGING = (
     "log_to_stderr",
@@ -95,7 +95,7 @@ def parse(arguments: list[str]) -> Options:
     values = vars(parser.parse_args(given))
     notes = _notes(values, defaults)
     if others := [name for name in project if name not in known]:
-        some = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
+        some = first_few(others)
         notes.append(f"not used from the project file, being of other commands: {some}")
     return _checked(values, notes)
 

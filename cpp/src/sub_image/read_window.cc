@@ -63,7 +63,7 @@ WindowPixels ReadWindow(const std::filesystem::path& path, const Rectangle& wind
   const std::unique_ptr<ImageReader> reader =
       OpenImageReader(path, pixels == Pixels::kAll ? Bands::kAll : Bands::kColor);
   const ImageShape& stored = reader->shape();
-  if (window.x0 < 0 || window.y0 < 0 || window.x1() > stored.width || window.y1() > stored.height) {
+  if (!Rectangle{0, 0, stored.width, stored.height}.Contains(window)) {
     throw InputError("image " + path.string() + " has " + std::to_string(stored.width) + "x" +
                      std::to_string(stored.height) +
                      " pixels, less than its workspace says: delete it and cut again");

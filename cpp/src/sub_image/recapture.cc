@@ -28,8 +28,7 @@ class Collect : public RowSink {
         pixel_bytes_(pixel_bytes),
         next_row_(window.y0),
         pixels_(pixels) {
-    if (kept.x0 < window.x0 || kept.x1() > window.x1() || kept.y0 < window.y0 ||
-        kept.y1() > window.y1()) {
+    if (!window.Contains(kept)) {
       throw std::invalid_argument("the rectangle is not inside its image");
     }
     pixels_->clear();
@@ -103,7 +102,7 @@ bool IsShrunk(const RecaptureTask& task) {
 Rectangle Window(const RecaptureTask& task) {
   if (IsShrunk(task)) return {0, 0, task.width, task.height};
   Rectangle window = BoundingBox(task.sub_images);
-  if (window.x0 < 0 || window.y0 < 0 || window.x1() > task.width || window.y1() > task.height) {
+  if (!Rectangle{0, 0, task.width, task.height}.Contains(window)) {
     throw std::invalid_argument("a sub-image is not inside its image");
   }
   if (!task.lens) {  // whole rows of the photograph pass through

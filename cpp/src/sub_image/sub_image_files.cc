@@ -10,14 +10,7 @@ namespace sirpy {
 Rectangle BoundingBox(const std::vector<SubImageFile>& files) {
   if (files.empty()) throw std::invalid_argument("there are no sub-images to cut");
   Rectangle box = files.front().stored;
-  for (const SubImageFile& file : files) {
-    const int64_t x1 = std::max(box.x1(), file.stored.x1());
-    const int64_t y1 = std::max(box.y1(), file.stored.y1());
-    box.x0 = std::min(box.x0, file.stored.x0);
-    box.y0 = std::min(box.y0, file.stored.y0);
-    box.width = x1 - box.x0;
-    box.height = y1 - box.y0;
-  }
+  for (const SubImageFile& file : files) box = Union(box, file.stored);
   return box;
 }
 
@@ -33,8 +26,7 @@ SubImageFiles::SubImageFiles(const Rectangle& window, const ImageShape& pixel,
   options_.Validate();
   for (const SubImageFile& file : files_) {
     const Rectangle& stored = file.stored;
-    if (stored.width < 1 || stored.height < 1 || stored.x0 < window_.x0 || stored.y0 < window_.y0 ||
-        stored.x1() > window_.x1() || stored.y1() > window_.y1()) {
+    if (stored.width < 1 || stored.height < 1 || !window_.Contains(stored)) {
       throw std::invalid_argument(file.path.string() + " is not inside its image");
     }
   }

@@ -58,10 +58,6 @@ class RectangleBins {
   }
 
  private:
-  static Rectangle Union(const Rectangle& a, const Rectangle& b) {
-    const int64_t x0 = std::min(a.x0, b.x0), y0 = std::min(a.y0, b.y0);
-    return {x0, y0, std::max(a.x1(), b.x1()) - x0, std::max(a.y1(), b.y1()) - y0};
-  }
   int64_t Column(int64_t x) const { return (x - bounds_.x0) / bin_width_; }
   int64_t Row(int64_t y) const { return (y - bounds_.y0) / bin_height_; }
 
