@@ -15,20 +15,20 @@ MEGABYTE = 2**20
 def test_times_are_those_of_the_block() -> None:
     with Meter() as sleeping:
         time.sleep(0.2)
-    assert 0.2 <= sleeping.wall_s < 2
+    assert 0.19 < sleeping.wall_s < 2
     assert sleeping.cpu_s < 0.15
     with Meter() as working:
         end = time.process_time() + 0.2
         while time.process_time() < end:
             pass
-    assert 0.2 <= working.cpu_s < 0.5
+    assert 0.19 < working.cpu_s < 0.5  # two clocks: each may round its way
 
 
 def test_children_count() -> None:
     work = "import time\nwhile time.process_time() < 0.4: pass"
     with Meter() as meter:
         subprocess.run([sys.executable, "-c", work], check=True)
-    assert 0.4 <= meter.cpu_s < 1.5
+    assert 0.39 < meter.cpu_s < 1.5
 
 
 @needs_proc
