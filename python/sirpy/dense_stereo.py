@@ -25,9 +25,13 @@ from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
-from sirpy.view_selection import SubImageViews, read_views
+from sirpy.view_selection import read_views
+from sirpy.view_windows import Source, SubImageViews, aligned
 from sirpy.windows import read_map, read_map_window, read_mask_window, read_window, write_map
 from sirpy.workspace import Pass, Workspace
+
+_MOST_SOURCES = 16  # that the estimator holds
+_LATTICE = 4  # native pixels: a pixel of its coarsest level
 
 FloatMap = npt.NDArray[np.float32]
 ByteMap = npt.NDArray[np.uint8]
@@ -158,6 +162,15 @@ class _Problem:
             normal=read("normal") if with_normal else None,
         )
 
+    def sources(self) -> list[Source]:
+        """The best that the estimator holds, in windows on the lattice of its coarsest level."""
+        return [
+            Source(
+                source.name, aligned(source.window, self.natives[source.name].rectangle, _LATTICE)
+            )
+            for source in self.views.sources[:_MOST_SOURCES]
+        ]
+
     def core_options(self, of_pass: Pass) -> _core.PatchMatchOptions:
         core = _core.PatchMatchOptions()
         known = set(dir(core))
@@ -178,7 +191,7 @@ def _photometric(problem: _Problem) -> DepthMap:
     views = problem.views
     depth, normal, _, num_seeing, _ = _core.patch_match(
         problem.window(problem.native.name, views.window),
-        [problem.window(source.name, source.window) for source in views.sources],
+        [problem.window(source.name, source.window) for source in problem.sources()],
         problem.sparse_points(),
         problem.core_options("photometric"),
     )
@@ -189,7 +202,10 @@ def _geometric(problem: _Problem) -> DepthMap:
     views, options = problem.views, problem.options
     depth, normal, cost, num_seeing, num_consistent = _core.patch_match(
         problem.window(problem.native.name, views.window, with_depth=True, with_normal=True),
-        [problem.window(source.name, source.window, with_depth=True) for source in views.sources],
+        [
+            problem.window(source.name, source.window, with_depth=True)
+            for source in problem.sources()
+        ],
         np.empty((0, 3)),
         problem.core_options("geometric"),
     )
