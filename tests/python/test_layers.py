@@ -17,7 +17,7 @@ LAYERS = """
     flight truth synthetic
     model_files model_arrays self_calibration structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
-    colmap_lists view_selection area layout planning sub_image_sets
+    colmap_lists view_fields view_windows view_selection area layout planning sub_image_sets
     cut_tasks cutting windows
     clustering
     engine_views
