@@ -12,15 +12,23 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
-from enum import IntFlag
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
-from sirpy.errors import InputError
 from sirpy.files import fingerprint
+from sirpy.filtering import (
+    ByteMap,
+    Estimate,
+    FilterOptions,
+    FloatMap,
+    Reason,
+    check_bounds,
+    filter_depths,
+    patch_variance,
+)
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
@@ -29,29 +37,11 @@ from sirpy.view_selection import SubImageViews, read_views
 from sirpy.windows import read_map, read_map_window, read_mask_window, read_window, write_map
 from sirpy.workspace import Pass, Workspace
 
-FloatMap = npt.NDArray[np.float32]
-ByteMap = npt.NDArray[np.uint8]
-
-
-class Reason(IntFlag):
-    """Why a pixel has no depth; one bit each, 0 for a pixel that has one."""
-
-    NOT_SEEN = 1  # no source window holds its patch
-    HIGH_COST = 2  # it looks different in the sources, and too few of them agree all the same
-    INCONSISTENT = 4  # too few sources measured the same depth
-    NO_SOURCES = 8  # the whole sub-image shares too few sparse points with other photographs
-    MASKED = 16  # the photograph's mask is black there
-
 
 @dataclass(frozen=True)
-class StereoOptions:
+class StereoOptions(FilterOptions):
     """Options of `stereo`; those of the estimator carry the names and defaults of the C++ core."""
 
-    max_cost: float = 0.6  # 1 - NCC: pixels above need more sources that agree
-    min_consistent: int = 2  # sources whose depth must agree
-    costly_consistent: int = (
-        5  # the same for pixels above max_cost: noise decides there, not texture
-    )
     top_views: int = 4  # sources that a pixel is matched against, at most
     native_iterations: int = 1  # sweeps at native resolution, photometric pass
     geometric_iterations: int = 2  # sweeps of the geometric pass
@@ -59,29 +49,26 @@ class StereoOptions:
     threads: int = 0  # 0: one for each core
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         bounds = {
-            "max_cost": (0, 2),
-            "min_consistent": (0, 16),
-            "costly_consistent": (0, 17),
             "top_views": (1, 16),
             "native_iterations": (1, 100),
             "geometric_iterations": (1, 100),
             "threads": (0, 1024),
         }
-        for name, (low, high) in bounds.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                option = name.replace("_", "-")
-                raise InputError(f"--{option} {value} is not possible: choose {low} to {high}")
+        check_bounds(self, bounds)
 
 
 @dataclass(frozen=True)
 class DepthMap:
-    """Maps of a sub-image (height x width): depth, normal (3 planes), reason why there is none."""
+    """Maps of a sub-image (height x width): depth, normal (3 planes), reason why there is none, and
+    after the last pass how sure it is.
+    """
 
     depth: FloatMap
     normal: FloatMap
     reason: ByteMap
+    confidence: FloatMap | None = None
 
 
 def stereo(
@@ -92,8 +79,8 @@ def stereo(
 ) -> None:
     """Estimates the maps of all sub-images that are not there yet; writes them in COLMAP's format.
 
-    stereo/depth_maps, normal_maps: NAME.photometric.bin and NAME.geometric.bin; stereo/reason_maps: NAME.bin
-    (`Reason`). Needs `views`.
+    stereo/depth_maps, normal_maps: NAME.photometric.bin and NAME.geometric.bin; stereo/reason_maps
+    (`Reason`) and confidence_maps: NAME.bin. Needs `views`.
 
     Raises:
         InputError: the workspace is not ready, or an option is out of range.
@@ -187,22 +174,24 @@ def _photometric(problem: _Problem) -> DepthMap:
 
 def _geometric(problem: _Problem) -> DepthMap:
     views, options = problem.views, problem.options
-    depth, normal, cost, num_seeing, num_consistent = _core.patch_match(
-        problem.window(problem.native.name, views.window, with_depth=True, with_normal=True),
+    reference = problem.window(problem.native.name, views.window, with_depth=True, with_normal=True)
+    maps = _core.patch_match(
+        reference,
         [problem.window(source.name, source.window, with_depth=True) for source in views.sources],
         np.empty((0, 3)),
         problem.core_options("geometric"),
     )
-    # Where few photographs overlap no more can agree than there are.
-    enough = min(options.min_consistent, len(views.sources))
-    reason = (
-        ((num_seeing == 0) | (depth == 0)) * np.uint8(Reason.NOT_SEEN)
-        + ((cost > options.max_cost) & (num_consistent < options.costly_consistent))
-        * np.uint8(Reason.HIGH_COST)
-        + (num_consistent < enough) * np.uint8(Reason.INCONSISTENT)
+    grey = read_window(problem.workspace, problem.native.name, views.window)
+    estimate = Estimate(*maps, patch_variance(grey))
+    reason, confidence = filter_depths(
+        estimate,
+        problem.scene.cameras[problem.native.name].intrinsics,
+        views.window,
+        read_mask_window(problem.workspace, problem.native.name, views.window),
+        len(views.sources),
+        options,
     )
-    masked = read_mask_window(problem.workspace, problem.native.name, views.window)
-    return DepthMap(depth, normal, reason + masked * np.uint8(Reason.MASKED))
+    return DepthMap(estimate.depth, estimate.normal, reason, confidence)
 
 
 def _nothing(problem: _Problem) -> DepthMap:
@@ -211,6 +200,7 @@ def _nothing(problem: _Problem) -> DepthMap:
         np.zeros(shape, np.float32),
         np.zeros((3, *shape), np.float32),
         np.full(shape, Reason.NO_SOURCES, np.uint8),
+        np.zeros(shape, np.float32),
     )
 
 
@@ -230,6 +220,8 @@ def _write(
     normal = np.where(missing, np.float32(0), maps.normal[:, rows, columns])
     if of_pass == "geometric":
         write_map(workspace.reason_map(sub_image), reason.astype(np.float32))
+        if maps.confidence is not None:
+            write_map(workspace.confidence_map(sub_image), maps.confidence[rows, columns])
     write_map(workspace.normal_map(sub_image, of_pass), normal)
     write_map(workspace.depth_map(sub_image, of_pass), depth)
 

@@ -71,6 +71,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/depth_maps",
         "stereo/normal_maps",
         "stereo/reason_maps",
+        "stereo/confidence_maps",
         "stereo/consistency_graphs",
     ),
     "fuse": ("fusion", "fused.ply", "fused.ply.vis", "meshed-poisson.ply", "run.json"),
@@ -225,6 +226,9 @@ class Workspace:
 
     def reason_map(self, sub_image: SubImage) -> Path:
         return self.stereo / "reason_maps" / f"{sub_image.name}.bin"
+
+    def confidence_map(self, sub_image: SubImage) -> Path:
+        return self.stereo / "confidence_maps" / f"{sub_image.name}.bin"
 
     def fused_part(self, sub_image: SubImage) -> Path:
         return self.folder / "fusion" / f"{sub_image.name}.npy"
