@@ -195,6 +195,11 @@ def shrunk(grey: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
 def patch_match_bytes_per_pixel(geometric: bool) -> tuple[int, int]:
     """Of the reference window, and of each source window."""
 
+def find_speckles(
+    depth: NDArray[np.float32], *, step_x: float, step_y: float, min_pixels: int
+) -> NDArray[np.uint8]:
+    """1 for each pixel of a speckle, (height, width); the steps are shares of the depth."""
+
 def instruction_set() -> str: ...
 
 # ---- fusion (sirpy.fusion)

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import shutil
 import zlib
-from dataclasses import asdict, dataclass
-from enum import IntFlag
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
-from sirpy.errors import InputError
 from sirpy.files import fingerprint
+from sirpy.filtering import Estimate, FilterOptions, Reason, check_bounds, filter_depths
 from sirpy.native_images import NativeImage, SubImage
-from sirpy.native_scene import NativeScene, read_native_scene
+from sirpy.native_scene import read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.stereo_passes import (
@@ -44,50 +43,26 @@ from sirpy.view_windows import source_windows
 from sirpy.windows import read_map, read_mask_window, write_map
 from sirpy.workspace import Workspace
 
-FloatMap = npt.NDArray[np.float32]
-ByteMap = npt.NDArray[np.uint8]
-
-
-class Reason(IntFlag):
-    """Why a pixel has no depth; one bit each, 0 for a pixel that has one."""
-
-    NOT_SEEN = 1  # no source window holds its patch
-    HIGH_COST = 2  # it looks different in the sources, and too few of them agree all the same
-    INCONSISTENT = 4  # too few sources measured the same depth
-    NO_SOURCES = 8  # the whole sub-image shares too few sparse points with other photographs
-    MASKED = 16  # the photograph's mask is black there
-
 
 @dataclass(frozen=True)
-class StereoOptions:
+class StereoOptions(FilterOptions):
     """Options of `stereo`; those of the estimator carry the names and defaults of the C++ core."""
 
-    max_cost: float = 0.6  # 1 - NCC: pixels above need more sources that agree
-    min_consistent: int = 2  # sources whose depth must agree
-    costly_consistent: int = (
-        5  # the same for pixels above max_cost: noise decides there, not texture
-    )
     top_views: int = 4  # sources that a pixel is matched against, at most
     native_iterations: int = 1  # sweeps at native resolution, photometric pass
-    geometric_iterations: int = 2  # sweeps of the geometric pass
+    geometric_iterations: int = 2  # sweeps of the geometric pass there
     seed: int = 0
     threads: int = 0  # 0: one for each core
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         bounds = {
-            "max_cost": (0, 2),
-            "min_consistent": (0, 16),
-            "costly_consistent": (0, 17),
-            "top_views": (1, 16),
+            "top_views": (1, 32),
             "native_iterations": (1, 100),
             "geometric_iterations": (1, 100),
             "threads": (0, 1024),
         }
-        for name, (low, high) in bounds.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                option = name.replace("_", "-")
-                raise InputError(f"--{option} {value} is not possible: choose {low} to {high}")
+        check_bounds(self, bounds)
 
 
 def passes(coarsest: int, options: StereoOptions) -> list[StereoPass]:
@@ -110,8 +85,9 @@ def stereo(
 ) -> None:
     """Estimates the maps of all sub-images that are not there yet; writes them in COLMAP's format.
 
-    stereo/depth_maps, normal_maps: NAME.geometric.bin; stereo/reason_maps: NAME.bin (`Reason`). The
-    maps of the passes before lie in stereo/passes while they are needed. Needs `views`.
+    stereo/depth_maps, normal_maps: NAME.geometric.bin; stereo/reason_maps (`Reason`) and
+    confidence_maps: NAME.bin. The maps of the passes before lie in stereo/passes while they are
+    needed. Needs `views`.
 
     Raises:
         InputError: the workspace is not ready, or an option is out of range.
@@ -193,7 +169,7 @@ class _Estimator:
             min_depth=field.min_depth,
             max_depth=field.max_depth,
             points=self._sparse_points(native) if before is None else np.empty((0, 3)),
-            start=before and before.start(native.name, window, level),
+            start=before.start(native.name, window, level) if before else None,
             options=self._core_options(of_pass, native),
         )
         return window, found
@@ -202,20 +178,34 @@ class _Estimator:
         self, unit: Unit, sub_image: SubImage, of_pass: StereoPass, before: PassMaps | None
     ) -> None:
         """The last pass: its maps are filtered and stand in COLMAP's folders; missing pixels are 0."""
-        workspace, options = self._workspace, self._options
+        workspace = self._workspace
         window, found = self._estimate(unit, sub_image.stored, of_pass, before)
-        masked = read_mask_window(workspace, unit.native.name, window)
-        reason = _reasons(found, masked, self._most_sources(unit.native, window), options)
+        camera = self._scene.cameras[unit.native.name]
+        offered = self._views.fields[unit.native.name].num_sources(window)
+        reason, confidence = filter_depths(
+            Estimate(**{one.name: found[one.name] for one in fields(Estimate)}),
+            camera.intrinsics,
+            window,
+            read_mask_window(workspace, unit.native.name, window),
+            offered,
+            self._options,
+        )
+        reason = np.where(offered == 0, np.uint8(Reason.NO_SOURCES), reason)
         kept = sub_image.stored.slices_in(window)
         missing = reason[kept] != 0
         write_map(workspace.reason_map(sub_image), reason[kept].astype(np.float32))
+        write_map(workspace.confidence_map(sub_image), confidence[kept])
         normal = np.where(missing, np.float32(0), found["normal"][(slice(None), *kept)])
         write_map(workspace.normal_map(sub_image, "geometric"), normal)
         depth = np.where(missing, np.float32(0), found["depth"][kept])
-        write_map(workspace.depth_map(sub_image, "geometric"), depth)
+        write_map(workspace.depth_map(sub_image, "geometric"), depth)  # the last: it is done
 
     def _view(
-        self, native: NativeImage, rectangle: Rectangle, level: int, depth: FloatMap | None = None
+        self,
+        native: NativeImage,
+        rectangle: Rectangle,
+        level: int,
+        depth: npt.NDArray[np.float32] | None = None,
     ) -> _core.ViewWindow:
         camera = self._scene.cameras[native.name]
         return _core.ViewWindow(

@@ -112,9 +112,7 @@ def read_grey(
         band = Rectangle(
             rectangle.x0, rectangle.y0 + y, rectangle.width, min(rows, rectangle.height - y)
         )
-        pixels = read_window(
-            workspace, native.name, native_pixels(band, level, native.rectangle)
-        )
+        pixels = read_window(workspace, native.name, native_pixels(band, level, native.rectangle))
         grey[y : y + band.height] = _core.shrunk(pixels, 1 << level)
     return grey
 
@@ -123,15 +121,15 @@ def nothing_found(window: Rectangle) -> dict[str, npt.NDArray[Any]]:
     """What the core finds where there is no source."""
     shape = window.height, window.width
     kinds = {"depth": np.float32, "views": np.uint32, "cost": np.float32, "texture": np.float32}
-    found: dict[str, npt.NDArray[Any]] = {name: np.zeros(shape, kind) for name, kind in kinds.items()}
+    found: dict[str, npt.NDArray[Any]] = {
+        name: np.zeros(shape, kind) for name, kind in kinds.items()
+    }
     found["normal"] = np.zeros((3, *shape), np.float32)
     found["num_seeing"] = found["num_consistent"] = np.zeros(shape, np.uint8)
     return found
 
 
-def write_planes(
-    path: Path, found: dict[str, npt.NDArray[Any]], kept: tuple[slice, slice]
-) -> None:
+def write_planes(path: Path, found: dict[str, npt.NDArray[Any]], kept: tuple[slice, slice]) -> None:
     """Writes what the next pass starts from of the rows and columns `kept`, whole or not at all."""
     bits = found["views"].view(np.float32)
     planes = np.concatenate([found["depth"][None], found["normal"], bits[None]])
@@ -152,7 +150,7 @@ class PassMaps:
 
     def read(
         self, native: str, rectangle: Rectangle, kind: Literal["depth", "normal", "views"]
-    ) -> npt.NDArray[np.float32]:
+    ) -> npt.NDArray[Any]:
         """Depth (height, width), normals (3, height, width) or sources as words of bits, uint32.
 
         0 where nothing was estimated.

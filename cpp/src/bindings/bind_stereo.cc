@@ -5,6 +5,7 @@
 
 #include "bindings/arrays.h"
 #include "bindings/bindings.h"
+#include "depth_filter.h"
 #include "patch_match/level.h"
 #include "patch_match/pyramid.h"
 #include "patch_match_sir.h"
@@ -110,6 +111,18 @@ py::dict RunPatchMatch(const OwnedViewWindow& reference,
   return maps;
 }
 
+py::array_t<uint8_t> RunFindSpeckles(const Array<float>& depth, double step_x, double step_y,
+                                     int64_t min_pixels) {
+  CheckDimensions(depth, 2, "depth");
+  std::vector<uint8_t> speckle;
+  {
+    py::gil_scoped_release release;
+    speckle = FindSpeckles(depth.data(), depth.shape(1), depth.shape(0),
+                           SpeckleOptions{step_x, step_y, min_pixels});
+  }
+  return ToArray(std::move(speckle), {depth.shape(0), depth.shape(1)});
+}
+
 }  // namespace
 
 void BindStereo(py::module_& module) {
@@ -158,6 +171,8 @@ void BindStereo(py::module_& module) {
     const PatchMatchMemory memory = PatchMatchBytesPerPixel(geometric);
     return py::make_tuple(memory.per_reference_pixel, memory.per_source_pixel);
   });
+  module.def("find_speckles", &RunFindSpeckles, py::arg("depth").noconvert(), py::kw_only(),
+             py::arg("step_x"), py::arg("step_y"), py::arg("min_pixels"));
   module.def("instruction_set", [] { return patch_match::BestKernels().name; });
 }
 
