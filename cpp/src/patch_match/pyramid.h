@@ -18,7 +18,8 @@ struct GreyImage {
 std::vector<GreyImage> Pyramid(const uint8_t* grey, int width, int height, int levels);
 
 // Each pixel with its right, lower and lower-right neighbours in one word, clamped at the border:
-// one load gives what bilinear interpolation needs. 4 bytes per pixel.
+// one load gives what bilinear interpolation needs. Bytes with a sign, grey - 128: a product with
+// an 8-bit weight then fits 16 bits. 4 bytes per pixel.
 void PackQuads(const uint8_t* grey, int width, int height, uint32_t* quads);
 
 // The image with `margin` more pixels on each side, which repeat its border.
