@@ -16,8 +16,8 @@ from sirpy.native_scene import NativeCamera, NativeScene
 from sirpy.rectangle import Rectangle
 from sirpy.view_fields import ViewField, frustum_corners, projected_boxes, view_field
 
-# Pixels of a level: a patch of radius 4, magnified at most 2 times in the source, and interpolation.
-PATCH_REACH = 10
+# Pixels of a level: the largest reach of a patch in a source (kMaxReach in ncc.h), and interpolation.
+PATCH_REACH = 18
 
 _MOST_COARSE_PIXELS = 2_000_000  # of a whole photograph at the coarsest level
 LEAST_COARSEST = 2

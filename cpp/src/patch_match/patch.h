@@ -24,8 +24,7 @@ struct Group {
   Floats x, native_y;        // position in the native image at this level
   Floats weight[kSamples];   // bilateral, w
   Floats centred[kSamples];  // w (r - mean)
-  Floats weight_sum;
-  Floats mean;
+  Floats weight_sum, inverse_weight_sum;
   Floats spread;            // sum of w (r - mean)^2
   Words allowed;            // sources that may be matched; bit j is source j
   Floats min_rho, max_rho;  // range of inverse depth
@@ -65,10 +64,11 @@ SIRPY_FUNCTION Group LoadGroup(const Level& level, const KernelOptions& options,
     first_moment += group.weight[i] * value[i];
   }
   group.weight_sum = sum;
-  group.mean = first_moment / sum;
+  group.inverse_weight_sum = 1.f / sum;
+  const Floats mean = first_moment * group.inverse_weight_sum;
   group.spread = Floats{};
   for (int i = 0; i < kSamples; ++i) {
-    const Floats deviation = value[i] - group.mean;
+    const Floats deviation = value[i] - mean;
     group.centred[i] = group.weight[i] * deviation;
     group.spread += group.centred[i] * deviation;
   }

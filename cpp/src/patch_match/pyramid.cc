@@ -32,8 +32,9 @@ void PackQuads(const uint8_t* grey, int width, int height, uint32_t* quads) {
     const uint8_t* lower = y + 1 < height ? upper + width : upper;
     for (int x = 0; x < width; ++x) {
       const int right = std::min(x + 1, width - 1);
-      quads[size_t(y) * width + x] = uint32_t(upper[x]) | uint32_t(upper[right]) << 8 |
-                                     uint32_t(lower[x]) << 16 | uint32_t(lower[right]) << 24;
+      const uint32_t quad = uint32_t(upper[x]) | uint32_t(upper[right]) << 8 |
+                            uint32_t(lower[x]) << 16 | uint32_t(lower[right]) << 24;
+      quads[size_t(y) * width + x] = quad ^ 0x80808080u;
     }
   }
 }

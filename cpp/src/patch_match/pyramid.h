@@ -12,7 +12,8 @@ namespace sirpy::patch_match {
 std::vector<uint8_t> Shrunk(const uint8_t* grey, int width, int height, int factor);
 
 // Each pixel with its right, lower and lower-right neighbours in one word, clamped at the border:
-// one load gives what bilinear interpolation needs. 4 bytes per pixel.
+// one load gives what bilinear interpolation needs. Bytes with a sign, grey - 128: a product with
+// an 8-bit weight then fits 16 bits. 4 bytes per pixel.
 void PackQuads(const uint8_t* grey, int width, int height, uint32_t* quads);
 
 // The image with `margin` more pixels on each side, which repeat its border.

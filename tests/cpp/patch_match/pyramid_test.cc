@@ -18,8 +18,8 @@ TEST(PackQuads, HoldsTheFourNeighbours) {
   const std::vector<uint8_t> grey = {1, 2, 3, 4};
   std::vector<uint32_t> quads(4);
   PackQuads(grey.data(), 2, 2, quads.data());
-  EXPECT_EQ(quads[0], 0x04030201u);
-  EXPECT_EQ(quads[3], 0x04040404u);
+  EXPECT_EQ(quads[0], 0x84838281u);
+  EXPECT_EQ(quads[3], 0x84848484u);
 }
 
 }  // namespace
