@@ -74,6 +74,13 @@ class ViewField:
             slice(window.x0 // self.side, -(-window.x1 // self.side)),
         )
 
+    def num_sources(self, window: Rectangle) -> npt.NDArray[np.uint8]:
+        """How many sources each pixel of a window is matched against, (height, width)."""
+        counts = np.array([int(bits).bit_count() for bits in self.allowed.flat], np.uint8)
+        rows = np.arange(window.y0, window.y1) // self.side
+        columns = np.arange(window.x0, window.x1) // self.side
+        return counts.reshape(self.allowed.shape)[np.ix_(rows, columns)]
+
     def parts(self, window: Rectangle) -> list[Rectangle]:
         """What of a window lies in each of the blocks that it touches, row by row."""
         rows, columns = self.blocks(window)

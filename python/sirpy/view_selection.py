@@ -33,13 +33,15 @@ class Views:
     """What stereo and fusion are to do.
 
     `fields` by native name; `sub_images` by name; `rank` of each native image in fusion: 0 has the
-    finest sampling; `coarsest`: the level of the pass over whole photographs.
+    finest sampling; `coarsest`: the level of the pass over whole photographs; `halo`: pixels around a
+    sub-image that are estimated with it, of each level.
     """
 
     fields: dict[str, ViewField]
     sub_images: dict[str, SubImageViews]
     rank: dict[str, int]
     coarsest: int
+    halo: int
 
 
 def views(
@@ -84,7 +86,7 @@ def views(
             "check that the model and the photographs belong together and overlap"
         )
     fields = {name: selection.field(name) for name in covered}
-    result = Views(fields, found, _ranks(scene), selection.coarsest)
+    result = Views(fields, found, _ranks(scene), selection.coarsest, halo)
     _write_colmap_lists(workspace, result)
     if progress and (note := names_note(found, sources=True)):
         progress.note(note)
@@ -187,7 +189,11 @@ def _parsed_views(stored: Any) -> Views:
     if coarsest < LEAST_COARSEST:
         raise ValueError(f"coarsest = {coarsest}")
     return Views(
-        {one.name: one for one in fields}, {one.name: one for one in found}, rank, coarsest
+        {one.name: one for one in fields},
+        {one.name: one for one in found},
+        rank,
+        coarsest,
+        int(stored["halo"]),
     )
 
 
@@ -219,6 +225,7 @@ def _write_views(path: Path, found: Views) -> None:
         {
             "version": _VERSION,
             "coarsest": found.coarsest,
+            "halo": found.halo,
             "rank": found.rank,
             "images": [
                 {

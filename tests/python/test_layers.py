@@ -24,7 +24,7 @@ LAYERS = """
     cmp_mvs mvsnet pmvs colmap_workspace
     exporting
     undistorter_options sir_undistorter colmap_launcher
-    dense_stereo
+    filtering dense_stereo
     fusion
     overview cloud_picture html_report
     pipeline demo plan_table

@@ -4,7 +4,6 @@
 // window, is seen from behind or changes its area more than 4 times costs kWorstCost.
 #pragma once
 
-#include "depth_window.h"
 #include "patch_match/patch.h"
 
 namespace sirpy::patch_match::SIRPY_ISA {
@@ -84,29 +83,6 @@ SIRPY_FUNCTION Floats NccCost(const Level& level, const Group& group, int j, con
   const Floats product = Select(textured, group.spread * spread, Splat(1));
   const Floats cost = Min(Max(1.f - sum_rs / Sqrt(product), Splat(0)), Splat(kWorstCost));
   return Select(warp.inside, Select(textured, cost, Splat(1)), Splat(kWorstCost));
-}
-
-// Forward-backward error in reference pixels (Schoenberger et al., ECCV 2016, section 4.5): to the
-// source, onto the depth found there, and back. -1 where the source has no depth.
-SIRPY_FUNCTION Floats ForwardBackwardError(const Level& level, const Group& group, int j,
-                                           const Warp& warp) {
-  const SourceLevel& source = level.sources[j];
-  Floats error = Splat(-1);
-  for (int lane = 0; lane < kLanes; ++lane) {
-    if (!warp.inside[lane]) continue;
-    const float x = warp.x[lane], y = warp.y[lane];
-    const float found = InterpolatedInverseDepth(source.inverse_depth, source.width, x, y);
-    if (found <= 0) continue;
-    const double u = x + source.x0, v = y + source.y0;
-    const double* a = source.back_a;
-    const double* b = source.back_b;
-    const double z = a[6] * u + a[7] * v + a[8] + b[2] * found;
-    if (z <= 0) continue;
-    const double dx = (a[0] * u + a[1] * v + a[2] + b[0] * found) / z - group.x[lane];
-    const double dy = (a[3] * u + a[4] * v + a[5] + b[1] * found) / z - group.native_y[lane];
-    error[lane] = float(__builtin_sqrt(dx * dx + dy * dy));
-  }
-  return error;
 }
 
 }  // namespace sirpy::patch_match::SIRPY_ISA

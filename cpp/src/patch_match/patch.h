@@ -26,9 +26,11 @@ struct Group {
   Floats centred[kSamples];  // w (r - mean)
   Floats weight_sum;
   Floats mean;
-  Floats spread;  // sum of w (r - mean)^2
+  Floats spread;            // sum of w (r - mean)^2
+  Words allowed;            // sources that may be matched; bit j is source j
+  Floats min_rho, max_rho;  // range of inverse depth
   Floats ax[kMaxSources], ay[kMaxSources],
-      az[kMaxSources];  // a x~ per source, without the window's origin
+      az[kMaxSources];  // a x~ of the allowed sources, without the window's origin
 };
 
 SIRPY_FUNCTION Group LoadGroup(const Level& level, const KernelOptions& options, int first, int y) {
@@ -71,7 +73,16 @@ SIRPY_FUNCTION Group LoadGroup(const Level& level, const KernelOptions& options,
     group.spread += group.centred[i] * deviation;
   }
 
-  for (int j = 0; j < level.num_sources; ++j) {
+  uint32_t any_allowed = 0;
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const Block& block = level.BlockAt(group.column[lane], y);
+    group.allowed[lane] = block.allowed;
+    group.min_rho[lane] = block.min_inverse_depth;
+    group.max_rho[lane] = block.max_inverse_depth;
+    any_allowed |= block.allowed;
+  }
+  for (uint32_t left = any_allowed; left != 0; left &= left - 1) {
+    const int j = __builtin_ctz(left);
     const double* a = level.sources[j].a;
     for (int lane = 0; lane < kLanes; ++lane) {
       const double px = group.x[lane], py = group.native_y[lane];
