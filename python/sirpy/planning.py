@@ -48,10 +48,10 @@ _NOTABLE_BYTES = 200_000_000  # of what has to be held of a photograph
 # bytes each, and the maps. For workspaces that are made for other engines.
 _ENGINE_BYTES_PER_PIXEL = 200
 
-# CPU microseconds: per native pixel, of stereo also per source; views per sub-image.
+# CPU microseconds: per native pixel, of stereo also per source; views per photograph and per sub-image.
 _CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.025, 0.7, 0.05
 _STEREO_TIME, _STEREO_TIME_OF_A_SOURCE = 2.5, 3.0
-_VIEWS_TIME = 10_000.0
+_VIEWS_TIME = 60_000.0, 1_500.0
 # Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps in both passes (depth 4, normal
 # 12) and the reason 4; points per pixel, 27 bytes each in its part and again in the cloud.
 _JPEG_BYTES, _PNG_BYTES = 0.5, 2.0
@@ -310,6 +310,7 @@ def _predict(
         for _, _, views in found
         for count in [min(len(views.sources), selection.num_sources)]
     )
+    views_time = _VIEWS_TIME[0] * len(natives) + _VIEWS_TIME[1] * len(stored)
     observations = sum(len(seen.point) for seen in scene.observations.values())
     process = _PROCESS_BYTES + _BYTES_PER_OBSERVATION * observations
     whole = [scene.cameras[name] for name in natives]
@@ -354,7 +355,7 @@ def _predict(
         ),
         stages=(
             stage("cut", (len(natives), "photograph"), cut, _CUT_TIME * native_pixels, cores),
-            stage("views", (count, unit), 0, _VIEWS_TIME * count, 1),
+            stage("views", (count, unit), 0, views_time, 1),
             stage("stereo", (count, unit), cached + stereo, stereo_time, cores, stereo_bytes),
             stage("fuse", (count, unit), cached + fuse, _FUSE_TIME * core, cores, _FUSE_BYTES),
             stage("report", (1, "page"), _REPORT_BYTES, _REPORT_TIME * core, 1),

@@ -32,10 +32,10 @@ _BLOCK_STEP = 128  # native pixels: whole pixels of every pyramid level, at ever
 _ENOUGH_POINTS = 60  # that give a depth range and a choice of sources
 _FEWEST_POINTS = 3
 _MIN_SHARED = 8  # sparse points that a source must share with the reference
-_DEPTH_PERCENTILES = (1.0, 99.0)
-_DEPTH_MARGIN = 0.25  # of the range of the sparse points, on both sides
-_LEAST_DEPTH_MARGIN = 0.02  # of the depth
-_LEAST_DEPTH = 0.1  # of the least depth of the sparse points
+_PERCENTILES = (1.0, 99.0)  # of the inverse depths
+_MARGIN = 0.25  # of the range of inverse depths, on both sides
+_LEAST_MARGIN = 0.02  # of the inverse depth
+_MOST_BEYOND = 2.0  # times as deep as the deepest points
 _FAR = 2.0**30  # pixels: beyond every image
 
 
@@ -110,9 +110,9 @@ def view_field(
     near = [observations_around(scene, name, block) for block in blocks]
     if min(map(len, near)) < _FEWEST_POINTS:  # then the whole image sees no more
         return field
-    ranges = np.array([np.percentile(seen.depth[some], _DEPTH_PERCENTILES) for some in near])
+    inverse = np.array([np.percentile(1 / seen.depth[some], _PERCENTILES) for some in near])
     # As float32 already here: what is visible is judged between the depths that stereo is given.
-    depths = _with_margins(ranges.reshape(rows, columns, 2)).astype(np.float32)
+    depths = _depth_ranges(inverse.reshape(rows, columns, 2)).astype(np.float32)
     corners = frustum_corners(camera, blocks, depths.reshape(-1, 2))
     pairs = _shared_points(scene, name, seen.point)
     visible: dict[str, npt.NDArray[np.bool_]] = {}
@@ -174,7 +174,7 @@ def observations_around(scene: NativeScene, name: str, rectangle: Rectangle) -> 
     while True:
         region = rectangle.padded(margin)
         inside = _inside(seen, region)
-        if inside.sum() >= _ENOUGH_POINTS or region.contains(whole):
+        if np.count_nonzero(inside) >= _ENOUGH_POINTS or region.contains(whole):
             return np.flatnonzero(inside)
         margin *= 2
 
@@ -235,35 +235,46 @@ class _SharedPoints:
 
 
 def _shared_points(scene: NativeScene, reference: str, points: Indices) -> _SharedPoints:
-    """Only the cameras that see one of the points are touched: the work does not grow with the number
-    of photographs."""
+    """Only the cameras that see one of the points are touched: the work hardly grows with the number of
+    photographs."""
     start, camera = scene.observers
-    of_points = _joined(start[points], start[points + 1])
+    observer = camera[_joined(start[points], start[points + 1])]
     which = np.repeat(np.arange(len(points)), start[points + 1] - start[points])
-    present, other = np.unique(camera[of_points], return_inverse=True)
     every = list(scene.cameras)
-    names = [every[i] for i in present]
-    apart = np.array([name != reference for name in names], bool)[other]
-    which, other = which[apart], other[apart]
+    apart = observer != every.index(reference)
+    observer, which = observer[apart], which[apart]
+    sees = np.zeros(len(every), bool)
+    sees[observer] = True
+    names = [every[i] for i in np.flatnonzero(sees)]
+    other = (np.cumsum(sees) - 1)[observer]
 
-    cameras = [scene.cameras[name] for name in names]
-    world = scene.points[points[which]]
+    own, cameras = scene.cameras[reference], [scene.cameras[name] for name in names]
     centres = np.array([one.centre for one in cameras]).reshape(-1, 3)
     focals = np.array([one.intrinsics[0, 0] for one in cameras])
-    axes = np.array([one.cam_from_world[2] for one in cameras]).reshape(-1, 4)
-    own = scene.cameras[reference]
-    own_focal = own.intrinsics[0, 0]
-    here, there = own.centre - world, centres[other] - world
-    here_distance, there_distance = np.linalg.norm(here, axis=1), np.linalg.norm(there, axis=1)
-    cosine = (here * there).sum(axis=1) / (here_distance * there_distance)
-    ratio = (here_distance / own_focal) / (there_distance / focals[other])
-    own_depth = world @ own.cam_from_world[2, :3] + own.cam_from_world[2, 3]
-    depth = (axes[other, :3] * world).sum(axis=1) + axes[other, 3]
+    axes = np.array([one.cam_from_world[2, :3] for one in cameras]).reshape(-1, 3)
+    world = scene.points[points]
+    # From the cameras to the points.
+    here, there = world - own.centre, world[which] - centres[other]
+    here_distance, there_distance = _length(here)[which], _length(there)
+    own_focal, focal = own.intrinsics[0, 0], focals[other]
+    ratio = (here_distance / own_focal) / (there_distance / focal)
+    cosine = _dot(here[which], there) / (here_distance * there_distance)
+    depth, own_depth = _dot(axes[other], there), (here @ own.cam_from_world[2, :3])[which]
     first = np.zeros(len(points) + 1, np.int64)
     np.cumsum(np.bincount(which, minlength=len(points)), out=first[1:])
     weight = _angle_weight(cosine) * _scale_weight(ratio)
-    finer = (own_depth / own_focal) / (depth / focals[other])
-    return _SharedPoints(names, first, other, weight, finer)
+    return _SharedPoints(names, first, other, weight, (own_depth / own_focal) / (depth / focal))
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Of the rows of two arrays (n, 3), (n,)."""
+    product: Floats = np.einsum("ij,ij->i", a, b)
+    return product
+
+
+def _length(a: Floats) -> Floats:
+    length: Floats = np.sqrt(_dot(a, a))
+    return length
 
 
 def _angle_weight(cosine: Floats) -> Floats:
@@ -308,18 +319,26 @@ def _best(choices: list[list[str]]) -> list[str]:
     )[:MOST_SOURCES]
 
 
-def _with_margins(ranges: Floats) -> Floats:
-    """Depth ranges (rows, columns, 2) joined with those of the 8 blocks around each, and a margin.
+def _depth_ranges(inverse: Floats) -> Floats:
+    """(rows, columns, 2): nearest and farthest depth of each block, with margins.
 
-    A roof whose sparse points fall into the next block is not cut off, nor ground that slopes away
-    where the points end.
+    A range is joined with those of the 8 blocks around it, so that a roof is not cut off whose sparse
+    points fall into the next block; beyond the border of the image with what would go on in a
+    straight line, since the ground does go on where the points end.
+
+    Args:
+        inverse: (rows, columns, 2), least and greatest inverse depth of the sparse points; it is
+            linear over a plane.
     """
-    found = np.empty_like(ranges)
-    for row, column in np.ndindex(*ranges.shape[:2]):
-        around = ranges[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2]
+    beyond = np.pad(inverse, ((1, 1), (1, 1), (0, 0)), mode="reflect", reflect_type="odd")
+    found = np.empty_like(inverse)
+    for row, column in np.ndindex(*inverse.shape[:2]):
+        around = beyond[row : row + 3, column : column + 3]
+        seen = inverse[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2]
         low, high = around[..., 0].min(), around[..., 1].max()
-        margin = max(_DEPTH_MARGIN * (high - low), _LEAST_DEPTH_MARGIN * (low + high) / 2)
-        found[row, column] = max(low - margin, _LEAST_DEPTH * low), high + margin
+        margin = max(_MARGIN * (high - low), _LEAST_MARGIN * (low + high) / 2)
+        farthest = max(low - margin, seen[..., 0].min() / _MOST_BEYOND)
+        found[row, column] = 1 / (high + margin), 1 / farthest
     return found
 
 

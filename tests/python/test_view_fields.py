@@ -78,7 +78,7 @@ def test_depths_hold_the_points_around_each_block_and_little_more() -> None:
         assert field.min_depth[row, column] < np.percentile(depths, 1)
         assert field.max_depth[row, column] > np.percentile(depths, 99)
     # Points lie within 2 of a depth of 100; margins are 2 %.
-    assert field.min_depth.min() > 95.9 and field.max_depth.max() < 104.1
+    assert field.min_depth.min() > 95.8 and field.max_depth.max() < 104.3
 
 
 def test_a_tower_whose_points_fall_into_the_next_block_is_in_range() -> None:
@@ -97,6 +97,44 @@ def test_a_tower_whose_points_fall_into_the_next_block_is_in_range() -> None:
     expected = np.zeros_like(near)
     expected[1:4, 2:5] = True
     assert (near == expected).all()
+
+
+def test_sloping_ground_goes_on_where_its_points_end() -> None:
+    """A plane of inverse depths 0.01 to 0.019, seen up to 60 pixels from the borders of the image."""
+    rng = np.random.default_rng(3)
+    pixel = rng.uniform([60, 60], [836, 580], (5000, 2))
+
+    def depth(xy: np.ndarray) -> np.ndarray:
+        return 1 / (0.01 + xy @ [7e-6, 4e-6])
+
+    seen = SCENE.observations["003.jpg"]
+    plane = type(seen)(np.resize(seen.point, 5000), pixel, depth(pixel))
+    camera = replace(SCENE.cameras["003.jpg"], width=896, height=640)
+    scene = replace(
+        SCENE,
+        cameras={**SCENE.cameras, "003.jpg": camera},
+        observations={**SCENE.observations, "003.jpg": plane},
+    )
+    field = view_field(scene, "003.jpg", num_sources=1)
+    ys, xs = np.mgrid[0:640, 0:896]
+    true = depth(np.stack([xs + 0.5, ys + 0.5], axis=-1))
+    block = np.ix_(np.arange(640) // 128, np.arange(896) // 128)
+    assert (field.min_depth[block] < true).all() and (true < field.max_depth[block]).all()
+    share = (1 / field.min_depth - 1 / field.max_depth).mean() / (0.019 - 0.01)
+    assert share < 0.75  # three blocks of seven, and the margins
+
+
+def test_the_sky_is_not_deeper_than_twice_the_points() -> None:
+    """Inverse depths that would fall below 0 beyond the points."""
+    rng = np.random.default_rng(3)
+    pixel = rng.uniform([0, 150], [800, 600], (5000, 2))
+    depth = 1 / (4e-5 * (pixel[:, 1] - 149))
+    seen = SCENE.observations["003.jpg"]
+    ground = type(seen)(np.resize(seen.point, 5000), pixel, depth)
+    scene = replace(SCENE, observations={**SCENE.observations, "003.jpg": ground})
+    field = view_field(scene, "003.jpg", num_sources=1)
+    assert (field.min_depth > 0).all()
+    assert depth.max() / 4 < field.max_depth.max() <= 2 * depth.max()
 
 
 def test_blocks_are_matched_against_what_sees_them_best() -> None:
