@@ -115,6 +115,7 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
   level.offers = options.offers;
   level.largest_step = float(options.largest_step);
   level.select_views = options.select_views;
+  level.all_sources = options.all_sources;
   level.num_sources = int(sources.size());
   data.quads.resize(sources.size());
   data.inverse_depths.resize(sources.size());

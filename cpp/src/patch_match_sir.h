@@ -28,6 +28,7 @@ namespace sirpy {
 struct PatchMatchOptions {
   int iterations = 2;        // sweeps
   int offers = 8;            // planes of neighbours that a pixel tries, of 8
+  bool all_sources = true;   // choose among all that are allowed, not only those used around
   bool select_views = true;  // choose sources anew; otherwise those of the start are kept
   double largest_step = 2;   // pixels of motion in the sources: the largest refinement at first
   int top_views = 4;         // sources that a pixel is matched against, at most

@@ -127,6 +127,7 @@ class PatchMatchOptions:
 
     iterations: int
     offers: int
+    all_sources: bool
     select_views: bool
     largest_step: float
     top_views: int

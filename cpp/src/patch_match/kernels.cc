@@ -236,7 +236,7 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
     Plane best = LoadPlanes(level, *planes, group);
     const Words used = StoredViews(level, *planes, group);
     const Words candidates =
-        level.everywhere ? group.allowed : group.allowed & (used | offers.views);
+        level.all_sources ? group.allowed : group.allowed & (used | offers.views);
     Floats costs[8][kMaxSources];
     ViewWeights views;
     if (level.select_views) {

@@ -55,6 +55,7 @@ struct Level {
   int offers = 8;                // planes of neighbours that are tried, of 8
   float largest_step = 2;        // pixels of motion in the sources, of the first sweep
   bool everywhere = false;       // nothing is known yet: all sources, and depths at random
+  bool all_sources = false;      // choose among all that are allowed, not those used around
   bool select_views = true;      // otherwise every pixel keeps its sources
 
   const Block& BlockAt(int x, int y) const {  // of a pixel of the window
