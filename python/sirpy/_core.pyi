@@ -125,14 +125,10 @@ def sub_image_model(
 class PatchMatchOptions:
     """Units and bounds: cpp/src/patch_match_sir.h."""
 
-    min_depth: float
-    max_depth: float
-    levels: int
-    coarsest_iterations: int
-    middle_iterations: int
-    native_iterations: int
-    geometric_iterations: int
-    native_offers: int
+    iterations: int
+    offers: int
+    select_views: bool
+    largest_step: float
     top_views: int
     color_sigma: float
     space_sigma: float
@@ -147,36 +143,62 @@ class PatchMatchOptions:
         """ValueError names field, value and bound."""
 
 class ViewWindow:
-    """A window of a native image, its camera and what is known of its depth."""
+    """A window of a native image at a level (pixels of that level), its camera and its depths."""
 
     def __init__(
         self,
         *,
         intrinsics: NDArray[np.float64],
         cam_from_world: NDArray[np.float64],
+        level: int,
         x0: int,
         y0: int,
         grey: NDArray[np.uint8],
         depth: NDArray[np.float32] | None = None,
-        normal: NDArray[np.float32] | None = None,
+    ) -> None: ...
+
+class StartMaps:
+    """What the pass before found: depth, normal (3 planes), views (bits of sources)."""
+
+    def __init__(
+        self,
+        *,
+        level: int,
+        x0: int,
+        y0: int,
+        depth: NDArray[np.float32],
+        normal: NDArray[np.float32],
+        views: NDArray[np.uint32],
     ) -> None: ...
 
 def patch_match(
+    *,
     reference: ViewWindow,
-    sources: Sequence[ViewWindow],
+    sources: Sequence[ViewWindow | None],
+    block_side: int,
+    allowed: NDArray[np.uint32],
+    min_depth: NDArray[np.float32],
+    max_depth: NDArray[np.float32],
     points: NDArray[np.float64],
+    start: StartMaps | None,
     options: PatchMatchOptions,
-) -> tuple[
-    NDArray[np.float32],
-    NDArray[np.float32],
-    NDArray[np.float32],
-    NDArray[np.uint8],
-    NDArray[np.uint8],
-]:
-    """(depth, normal, cost, sources that see, sources that agree); points: n x (x, y, depth)."""
+) -> dict[str, NDArray[Any]]:
+    """depth, normal, views, cost, texture, num_seeing, num_consistent of the reference window;
+    points: n x (x, y, depth)."""
+
+def patch_match_margin(iterations: int) -> int:
+    """Pixels of the level around a pixel that its result depends on."""
+
+def shrunk(grey: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """The mean of each block of factor x factor pixels."""
 
 def patch_match_bytes_per_pixel(geometric: bool) -> tuple[int, int]:
     """Of the reference window, and of each source window."""
+
+def find_speckles(
+    depth: NDArray[np.float32], *, step_x: float, step_y: float, min_pixels: int
+) -> NDArray[np.uint8]:
+    """1 for each pixel of a speckle, (height, width); the steps are shares of the depth."""
 
 def instruction_set() -> str: ...
 

@@ -21,9 +21,10 @@ from sirpy.model_arrays import read_arrays
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeScene, native_scene
 from sirpy.photographs import open_photograph
-from sirpy.rectangle import Grid, Rectangle
+from sirpy.rectangle import Grid
 from sirpy.sub_image_model import undistorted_model
-from sirpy.view_selection import check_num_sources, sub_image_views
+from sirpy.view_selection import check_num_sources
+from sirpy.view_windows import ViewSelection
 
 # Python with numpy, pycolmap and rasterio loaded.
 _PROCESS_BYTES = 130_000_000
@@ -136,13 +137,14 @@ def plan(
     names = list(uncut)
     held, notes = _held_bytes(Path(images), names) if images else ({}, ())
     covered = {name: native.covered for name, native in uncut.items()}
+    selection = ViewSelection(scene, covered, num_sources, halo)
 
     def predict(candidate: Grid, some: list[str], most: int = _MOST_SUB_IMAGES) -> Plan:
         layout = Layout(candidate, overlap, region)
         # Smaller sub-images lie closer to what they see: an area may be seen by none of some.
         natives = _cut_images(scene, layout, seeing, some)
         natives = natives or _cut_images(scene, layout, seeing, names)
-        return _predict(scene, candidate, natives, covered, num_sources, halo, held, notes, most)
+        return _predict(selection, candidate, natives, held, notes, most)
 
     candidates, peaks = [grid] if grid else list(_candidates(scene, region, names)), list[int]()
     if grid is None and memory is not None:
@@ -279,21 +281,16 @@ def _held_bytes(images: Path, names: list[str]) -> tuple[dict[str, int], tuple[s
 
 
 def _predict(
-    scene: NativeScene,
+    selection: ViewSelection,
     grid: Grid,
     natives: dict[str, NativeImage],
-    covered: dict[str, Rectangle],
-    num_sources: int,
-    halo: int,
     held: dict[str, int],
     notes: tuple[str, ...],
     most_sub_images: int,
 ) -> Plan:
-    units = [
-        (native, sub)
-        for native in list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
-        for sub in native.sub_images
-    ]
+    scene = selection.scene
+    looked_at = list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
+    units = [(native, sub) for native in looked_at for sub in native.sub_images]
     # (pixels of the core, of the source windows, views) of each sub-image that is looked at.
     found = [
         (
@@ -302,24 +299,25 @@ def _predict(
             views,
         )
         for native, sub in units[:: -(-len(units) // most_sub_images)]
-        for views in [
-            sub_image_views(scene, native, sub, num_sources=num_sources, halo=halo, covered=covered)
-        ]
+        for views in [selection.sub_image(native.name, sub)]
     ]
     stored = [sub.stored for native in natives.values() for sub in native.sub_images]
     core = sum(sub.core.area for native in natives.values() for sub in native.sub_images)
     pixels = sum(one.area for one in stored)
     share = len(stored) / len(found)  # of what was not looked at
     stereo_time = share * sum(
-        views.window.area * (_STEREO_TIME + _STEREO_TIME_OF_A_SOURCE * len(views.sources))
+        views.window.area * (_STEREO_TIME + _STEREO_TIME_OF_A_SOURCE * count)
         for _, _, views in found
+        for count in [min(len(views.sources), selection.num_sources)]
     )
     observations = sum(len(seen.point) for seen in scene.observations.values())
     process = _PROCESS_BYTES + _BYTES_PER_OBSERVATION * observations
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
     fuse = max(_FUSE_BYTES[0] * area + _FUSE_BYTES[1] * sources for area, sources, _ in found)
-    stereo = max(_stereo_bytes(views.window.area, sources) for _, sources, views in found)
+    passes = [(views.window.area, sources) for _, sources, views in found]
+    passes += [selection.coarse_pixels(native.name) for native in looked_at]
+    stereo = max(_stereo_bytes(*pixels) for pixels in passes)
     stereo_bytes = _stereo_bytes_per_pixel()
     cached = min(IMAGE_CACHE_BYTES, pixels)
     cores = os.cpu_count() or 1
@@ -374,7 +372,10 @@ def _stereo_bytes_per_pixel(geometric: bool = True) -> tuple[int, int]:
 
 
 def _stereo_bytes(reference_pixels: int, source_pixels: int) -> int:
-    """The geometric pass, which holds the depths of the sources too, or the photometric one."""
+    """Of a pass over so many pixels of a window and of its sources' windows, at the level of the pass.
+
+    The geometric pass, which holds the depths of the sources too, or the photometric one.
+    """
     return max(
         reference_pixels * reference + source_pixels * source
         for reference, source in map(_stereo_bytes_per_pixel, (False, True))

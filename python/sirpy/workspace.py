@@ -71,6 +71,8 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/depth_maps",
         "stereo/normal_maps",
         "stereo/reason_maps",
+        "stereo/passes",
+        "stereo/confidence_maps",
         "stereo/consistency_graphs",
     ),
     "fuse": ("fusion", "fused.ply", "fused.ply.vis", "meshed-poisson.ply", "run.json"),
@@ -225,6 +227,17 @@ class Workspace:
 
     def reason_map(self, sub_image: SubImage) -> Path:
         return self.stereo / "reason_maps" / f"{sub_image.name}.bin"
+
+    @property
+    def passes(self) -> Path:
+        """What stereo starts its next pass from; removed when it is done."""
+        return self.stereo / "passes"
+
+    def pass_map(self, name: str, of_pass: str) -> Path:
+        return self.passes / of_pass / f"{name}.npy"
+
+    def confidence_map(self, sub_image: SubImage) -> Path:
+        return self.stereo / "confidence_maps" / f"{sub_image.name}.bin"
 
     def fused_part(self, sub_image: SubImage) -> Path:
         return self.folder / "fusion" / f"{sub_image.name}.npy"

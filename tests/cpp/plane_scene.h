@@ -51,10 +51,10 @@ struct RenderedView {
     return {intrinsics,
             rotation,
             translation,
+            0,
             {0, 0, width, height},
             grey.data(),
-            with_depth ? depth.data() : nullptr,
-            with_depth ? normal.data() : nullptr};
+            with_depth ? depth.data() : nullptr};
   }
   DepthView Depths(int rank) const {
     return {intrinsics, rotation, translation, {0, 0, width, height}, rank, depth.data()};

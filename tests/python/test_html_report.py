@@ -11,8 +11,8 @@ import pytest
 import rasterio
 from rasterio.io import MemoryFile
 from sirpy import html_report, overview, synthetic
-from sirpy.dense_stereo import Reason
 from sirpy.errors import InputError
+from sirpy.filtering import Reason
 from sirpy.native_images import LeftOut, NativeImage, SubImage
 from sirpy.pictures import encoded_png
 from sirpy.rectangle import Grid, Rectangle

@@ -15,7 +15,8 @@ import pytest
 from sirpy.area import Area
 from sirpy.colmap_launcher import installed_colmap
 from sirpy.cutting import cut as cut_photographs
-from sirpy.dense_stereo import Reason, StereoOptions, stereo
+from sirpy.dense_stereo import StereoOptions, stereo
+from sirpy.filtering import Reason
 from sirpy.layout import Region
 from sirpy.model_arrays import read_arrays
 from sirpy.pipeline import reconstruct

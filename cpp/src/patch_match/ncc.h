@@ -9,7 +9,6 @@
 // be less than 2^15 pixels wide.
 #pragma once
 
-#include "depth_window.h"
 #include "patch_match/patch.h"
 
 namespace sirpy::patch_match::SIRPY_ISA {
@@ -96,7 +95,7 @@ SIRPY_FUNCTION Floats NccCost(const Level& level, const Group& group, int j, con
 #pragma GCC unroll 25
   for (int i = 0; i < kSamples; ++i) {
     const Halves at = rows[i / kSide] + columns[i % kSide];
-    quads[i] = Gather(source.quads, (Words)(first + SumOfProducts(at >> 8, strides)));
+    quads[i] = (Words)Gather(source.quads, first + SumOfProducts(at >> 8, strides));
   }
   Floats sum_s{}, sum_ss{}, sum_rs{};
 #pragma GCC unroll 25
@@ -116,29 +115,6 @@ SIRPY_FUNCTION Floats NccCost(const Level& level, const Group& group, int j, con
   const Floats ncc = sum_rs * kUnit / Sqrt(product);
   const Floats cost = Min(Max(1.f - ncc, Splat(0)), Splat(kWorstCost));
   return Select(warp.inside, Select(textured, cost, Splat(1)), Splat(kWorstCost));
-}
-
-// Forward-backward error in reference pixels (Schoenberger et al., ECCV 2016, section 4.5): to the
-// source, onto the depth found there, and back. -1 where the source has no depth.
-SIRPY_FUNCTION Floats ForwardBackwardError(const Level& level, const Group& group, int j,
-                                           const Warp& warp) {
-  const SourceLevel& source = level.sources[j];
-  Floats error = Splat(-1);
-  for (int lane = 0; lane < kLanes; ++lane) {
-    if (!warp.inside[lane]) continue;
-    const float x = warp.x[lane], y = warp.y[lane];
-    const float found = InterpolatedInverseDepth(source.inverse_depth, source.width, x, y);
-    if (found <= 0) continue;
-    const double u = x + source.x0, v = y + source.y0;
-    const double* a = source.back_a;
-    const double* b = source.back_b;
-    const double z = a[6] * u + a[7] * v + a[8] + b[2] * found;
-    if (z <= 0) continue;
-    const double dx = (a[0] * u + a[1] * v + a[2] + b[0] * found) / z - group.x[lane];
-    const double dy = (a[3] * u + a[4] * v + a[5] + b[1] * found) / z - group.native_y[lane];
-    error[lane] = float(__builtin_sqrt(dx * dx + dy * dy));
-  }
-  return error;
 }
 
 }  // namespace sirpy::patch_match::SIRPY_ISA

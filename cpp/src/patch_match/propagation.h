@@ -10,6 +10,7 @@ namespace sirpy::patch_match::SIRPY_ISA {
 
 // (along, across) steps of the two kinds of region; "along" points away from the pixel.
 constexpr int kNear[7][2] = {{1, 0}, {2, -1}, {2, 1}, {3, -2}, {3, 2}, {4, -3}, {4, 3}};
+static_assert(kSweepReach == 23);
 constexpr int kFar[11][2] = {{3, 0},  {5, 0},  {7, 0},  {9, 0},  {11, 0}, {13, 0},
                              {15, 0}, {17, 0}, {19, 0}, {21, 0}, {23, 0}};
 
@@ -30,6 +31,7 @@ struct Offers {
   int count;
   Plane plane[8];
   Ints valid[8];
+  Words views;  // that the pixels they come from are matched against
 };
 
 SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, const Group& group,
@@ -73,6 +75,7 @@ SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, co
       plane.rho[lane] =
           planes.rho[at] - planes.gx[at] * float(offer.dx) - planes.gy[at] * float(offer.dy);
       offers.valid[i][lane] = -1;
+      offers.views[lane] |= planes.views[at];
     }
   }
   return offers;

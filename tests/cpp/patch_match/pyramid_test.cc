@@ -5,14 +5,13 @@
 namespace sirpy::patch_match {
 namespace {
 
-TEST(Pyramid, AveragesBlocksAndWhatIsLeftAtAnOddBorder) {
+TEST(Shrunk, AveragesBlocksAndWhatIsLeftAtTheBorder) {
   const std::vector<uint8_t> grey = {10, 20, 100,  //
                                      30, 40, 200,  //
                                      50, 60, 250};
-  const std::vector<GreyImage> pyramid = Pyramid(grey.data(), 3, 3, 2);
-  ASSERT_EQ(pyramid.size(), 1u);
-  EXPECT_EQ(pyramid[0].width, 2);
-  EXPECT_EQ(pyramid[0].pixels, (std::vector<uint8_t>{25, 150, 55, 250}));
+  EXPECT_EQ(Shrunk(grey.data(), 3, 3, 2), (std::vector<uint8_t>{25, 150, 55, 250}));
+  EXPECT_EQ(Shrunk(grey.data(), 3, 3, 1), grey);
+  EXPECT_EQ(Shrunk(grey.data(), 3, 3, 4), (std::vector<uint8_t>{84}));  // 760 / 9, rounded once
 }
 
 TEST(PackQuads, HoldsTheFourNeighbours) {
