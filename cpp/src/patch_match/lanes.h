@@ -29,6 +29,7 @@ typedef float Floats __attribute__((vector_size(4 * SIRPY_LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * SIRPY_LANES)));
 typedef uint32_t Words __attribute__((vector_size(4 * SIRPY_LANES)));
 typedef int16_t Halves __attribute__((vector_size(4 * SIRPY_LANES)));  // two in each lane
+typedef double Doubles __attribute__((vector_size(8 * SIRPY_LANES)));
 typedef uint64_t Pairs __attribute__((vector_size(4 * SIRPY_LANES)));  // of lanes
 
 #define SIRPY_INLINE static inline __attribute__((always_inline))
@@ -56,6 +57,18 @@ SIRPY_INLINE Floats Sqrt(Floats a) {
   Floats root;
   for (int lane = 0; lane < kLanes; ++lane) root[lane] = __builtin_sqrtf(a[lane]);
   return root;
+}
+
+// Bytes 0, 2, 4 ... of 2 kLanes.
+SIRPY_INLINE Floats EverySecondByte(const uint8_t* bytes) {
+  typedef uint16_t Shorts __attribute__((vector_size(2 * SIRPY_LANES)));
+  Shorts two;
+  std::memcpy(&two, bytes, sizeof two);
+#if __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__
+  return __builtin_convertvector(two & 255, Floats);
+#else
+  return __builtin_convertvector(two >> 8, Floats);
+#endif
 }
 
 // low * low + high * high of the halves of each lane.
@@ -96,17 +109,17 @@ SIRPY_INLINE Words RepeatByte(Words a) {
 #endif
 }
 
-// table[index] in each lane.
-SIRPY_INLINE Words Gather(const uint32_t* table, Words index) {
+// table[index] in each lane; no index is negative.
+SIRPY_INLINE Ints Gather(const uint32_t* table, Ints index) {
 #if defined(SIRPY_SIMD) && SIRPY_LANES == 16
-  return (Words)_mm512_i32gather_epi32((__m512i)index, table, 4);
+  return (Ints)_mm512_i32gather_epi32((__m512i)index, table, 4);
 #else
   // Plain loads: faster than the gather of AVX2 on the processors that were tried.
-  Words values;
+  Ints values;
   for (int lane = 0; lane < kLanes; lane += 2) {
     const uint64_t pair = ((Pairs)index)[lane / 2];
-    values[lane] = table[uint32_t(pair)];
-    values[lane + 1] = table[pair >> 32];
+    values[lane] = int32_t(table[uint32_t(pair)]);
+    values[lane + 1] = int32_t(table[pair >> 32]);
   }
   return values;
 #endif

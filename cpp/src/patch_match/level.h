@@ -19,7 +19,7 @@ constexpr int kPatchStep = 2;
 constexpr float kWorstCost = 2;  // 1 - NCC is in [0, 2]; what cannot be compared costs this
 
 struct SourceLevel {
-  const uint32_t* quads = nullptr;  // height x width; bytes: (x, y), (x+1, y), (x, y+1), (x+1, y+1)
+  const uint32_t* quads = nullptr;       // height x width, of PackQuads
   const float* inverse_depth = nullptr;  // height x width or null; 0 where there is none
   int width = 0;
   int height = 0;

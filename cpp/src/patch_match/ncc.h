@@ -89,18 +89,19 @@ SIRPY_FUNCTION Floats NccCost(const Level& level, const Group& group, int j, con
   }
 
   // All loads before all arithmetic, so that many are under way at once.
+  Halves at[kSamples];
   Words quads[kSamples];
   const Ints first = whole_y * source.width + whole_x;
   const Halves strides = (Halves)SplatInt(source.width << 16 | 1);
 #pragma GCC unroll 25
   for (int i = 0; i < kSamples; ++i) {
-    const Halves at = rows[i / kSide] + columns[i % kSide];
-    quads[i] = Gather(source.quads, (Words)(first + SumOfProducts(at >> 8, strides)));
+    at[i] = rows[i / kSide] + columns[i % kSide];
+    quads[i] = (Words)Gather(source.quads, first + SumOfProducts(at[i] >> 8, strides));
   }
   Floats sum_s{}, sum_ss{}, sum_rs{};
-#pragma GCC unroll 25
+#pragma GCC unroll 5
   for (int i = 0; i < kSamples; ++i) {
-    const Floats s = Interpolated(quads[i], rows[i / kSide] + columns[i % kSide]);
+    const Floats s = Interpolated(quads[i], at[i]);
     const Floats ws = group.weight[i] * s;
     sum_s += ws;
     sum_ss += ws * s;
