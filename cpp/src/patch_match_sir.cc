@@ -156,16 +156,19 @@ PlaneArrays Initialise(const Level& level, const KernelOptions& options,
   const Kernels& kernels = BestKernels();
 #pragma omp parallel
   {
-    std::vector<float> row(3 * size_t(level.width));
-    std::vector<uint32_t> views(level.width);
-    const Planes candidates{row.data(), row.data() + level.width, row.data() + 2 * level.width,
-                            nullptr, views.data()};
+    const int count = source.num_candidates();
+    std::vector<float> rows(3 * size_t(level.width) * count);
+    std::vector<uint32_t> views(size_t(level.width) * count);
+    std::vector<Planes> candidates;
+    for (int i = 0; i < count; ++i) {
+      float* row = rows.data() + 3 * size_t(level.width) * i;
+      candidates.push_back({row, row + level.width, row + 2 * level.width, nullptr,
+                            views.data() + size_t(level.width) * i});
+    }
 #pragma omp for schedule(dynamic)
     for (int y = 0; y < level.height; ++y) {
-      for (int i = 0; i < source.num_candidates(); ++i) {
-        source.FillRow(y, i, candidates);
-        kernels.evaluate_row(level, options, candidates, &planes, y);
-      }
+      for (int i = 0; i < count; ++i) source.FillRow(y, i, candidates[i]);
+      kernels.evaluate_row(level, options, candidates.data(), count, &planes, y);
     }
   }
   return arrays;

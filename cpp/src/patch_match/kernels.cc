@@ -157,35 +157,35 @@ SIRPY_INLINE Floats LogUniform(Floats uniform, float least, float most) {
   return Select(uniform < 0.5f, -size, size);
 }
 
-// Candidates of the initialisation: for each pixel of the row the plane of `candidates` replaces
-// the present one where it costs less. A plane without sources is judged by those that it looks
-// best in.
-void EvaluateRow(const Level& level, const KernelOptions& options, const Planes& candidates,
-                 Planes* planes, int y) {
+// Candidates of the initialisation: for each pixel of the row the best of `count` planes. A plane
+// without sources is judged by those that it looks best in.
+void EvaluateRow(const Level& level, const KernelOptions& options, const Planes* candidates,
+                 int count, Planes* planes, int y) {
   for (int colour = 0; colour < 2; ++colour) {
     for (int first = colour; first < level.width; first += 2 * kLanes) {
       const Group group = LoadGroup(level, options, first, y);
       const Prior prior = LoadPrior(level, options, group);
-      Plane plane;
-      Words sources{};
-      Floats present{};
-      for (int lane = 0; lane < kLanes; ++lane) {
-        plane.rho[lane] = candidates.rho[group.column[lane]];
-        plane.gx[lane] = candidates.gx[group.column[lane]];
-        plane.gy[lane] = candidates.gy[group.column[lane]];
-        if (candidates.views) sources[lane] = candidates.views[group.column[lane]];
-        present[lane] = planes->cost[int64_t(y) * level.width + group.column[lane]];
-      }
-      ViewWeights views = EqualWeights(sources & group.allowed);
-      ChooseWhereNone(level, group, 3, plane, &views);
-      const Cost cost = PlaneCost(level, options, group, prior, views, plane, present);
       Plane best = LoadPlanes(level, *planes, group);
-      Cost best_cost{present, Floats{}};
-      const Ints better = (cost.value < kRejected) & (cost.value < present);
-      Keep(better, plane, cost, &best, &best_cost);
-      const Words before = StoredViews(level, *planes, group);
-      const Words used = (views.used & (Words)better) | (before & ~(Words)better);
-      Store(level, group, best, best_cost.value, used, planes);
+      Words best_views{};
+      Cost best_cost{Splat(4 * kWorstCost), Floats{}};
+      for (int i = 0; i < count; ++i) {
+        Plane plane;
+        Words sources;
+        for (int lane = 0; lane < kLanes; ++lane) {
+          const int column = group.column[lane];
+          plane.rho[lane] = candidates[i].rho[column];
+          plane.gx[lane] = candidates[i].gx[column];
+          plane.gy[lane] = candidates[i].gy[column];
+          sources[lane] = candidates[i].views[column];
+        }
+        ViewWeights views = EqualWeights(sources & group.allowed);
+        ChooseWhereNone(level, group, 3, plane, &views);
+        const Cost cost = PlaneCost(level, options, group, prior, views, plane, best_cost.value);
+        const Ints better = (cost.value < kRejected) & (cost.value < best_cost.value);
+        Keep(better, plane, cost, &best, &best_cost);
+        best_views = (views.used & (Words)better) | (best_views & ~(Words)better);
+      }
+      Store(level, group, best, best_cost.value, best_views, planes);
     }
   }
 }

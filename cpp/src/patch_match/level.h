@@ -94,9 +94,9 @@ struct KernelOptions {
 // coordinates.
 struct Kernels {
   const char* name;
-  // `candidates` are rows; those with views are matched against these, others against all.
-  void (*evaluate_row)(const Level&, const KernelOptions&, const Planes& candidates, Planes* planes,
-                       int y);
+  // `candidates`: `count` rows of planes; one without views is matched against all sources.
+  void (*evaluate_row)(const Level&, const KernelOptions&, const Planes* candidates, int count,
+                       Planes* planes, int y);
   void (*sweep_row)(const Level&, const KernelOptions&, Planes* planes, int y, int colour,
                     int iteration);
   void (*refine_row)(const Level&, const KernelOptions&, Planes* planes, int y);
