@@ -26,7 +26,7 @@ LAYERS = """
     undistorter_options sir_undistorter colmap_launcher
     filtering dense_stereo
     fusion
-    overview cloud_picture html_report
+    overview cloud_picture explaining html_report
     pipeline demo plan_table
     cli __main__
 """
