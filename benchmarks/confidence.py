@@ -30,7 +30,6 @@ from sirpy.filtering import (
     Estimate,
     Reason,
     coplanar_shares,
-    cosines,
     evidence,
     probability,
 )
@@ -47,7 +46,7 @@ ROUNDS = 30  # of Newton's method
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels with a true depth: evidence (7, n), reason (n,), whether the depth is right (n,)."""
+    """Pixels with a true depth: evidence (6, n), reason (n,), whether the depth is right (n,)."""
 
     evidence: NDArray[np.float32]
     reason: NDArray[np.uint8]
@@ -111,11 +110,7 @@ def estimated(
         found = filter_depths(estimate, intrinsics, window, masked, *more)
         stored = sub.stored.slices_in(window)
         known = (truth > 0) & ~masked[stored]
-        evidences = evidence(
-            estimate,
-            cosines(estimate.normal, intrinsics, window),
-            coplanar_shares(estimate, intrinsics, window),
-        )
+        evidences = evidence(estimate, coplanar_shares(estimate, intrinsics, window))
         error = np.abs(estimate.depth[stored] - truth) * intrinsics[0, 0]
         right = (error <= RIGHT * truth) & (estimate.depth[stored] > 0)
         parts.append((evidences[:, *stored][:, known], found[0][stored][known], right[known]))

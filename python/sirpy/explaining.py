@@ -34,7 +34,7 @@ Picture = NDArray[np.uint8]
 
 _PANEL = 780  # longest side of a panel, pixels
 _COLUMNS = 3
-_GAP, _TITLE, _LINE = 15, 26, 30
+_GAP, _TITLE, _LINE, _BAR = 15, 26, 30, 10
 _TEXT = 18
 _PAPER, _INK, _KEPT = (250, 250, 248), (28, 31, 36), (228, 232, 236)
 _LIGHT = np.array([-0.5, -0.6, -0.62])  # towards the light, camera frame: from the upper left
@@ -102,7 +102,8 @@ def _check_estimated(workspace: Workspace, name: str, frame: Frame) -> None:
 class _Panel:
     title: str
     image: Picture
-    scale: tuple[Picture, str, str] | None = None  # a bar, and what its ends mean
+    bar: Picture | None = None  # (1, any, 3): its colours from left to right
+    marks: tuple[str, ...] = ()  # what they mean, evenly spread
 
 
 def _panels(workspace: Workspace, frame: Frame) -> list[_Panel]:
@@ -123,7 +124,8 @@ def _panels(workspace: Workspace, frame: Frame) -> list[_Panel]:
             np.where((depth > 0)[..., None], _sureness(confidence), MISSING_COLOUR).astype(
                 np.uint8
             ),
-            (_sureness(1 - 10.0 ** np.linspace(0, -_SUREST, _PANEL)[None]), "0", "99.9 %"),
+            _sureness(1 - 10.0 ** np.linspace(0, -_SUREST, _PANEL)[None]),
+            ("0 %", "90 %", "99 %", "99.9 %"),
         ),
         _Panel("why there is no depth", _reason_palette()[first_reasons(reason)]),
     ]
@@ -139,8 +141,8 @@ def _depth_panel(depth: NDArray[np.float32], normal: NDArray[np.float32]) -> _Pa
     shade = np.where(depth > 0, 0.45 + 0.65 * light, 1)
     colours = np.clip(depth_colours(depth, near, far) * shade[..., None], 0, 255)
     bar = depth_colours(np.linspace(near, far, _PANEL, dtype=np.float32)[None], near, far)
-    scale = bar, f"{near:.4g}", f"{far:.4g}"
-    return _Panel("depth (unit of the model)", colours.astype(np.uint8), scale)
+    marks = tuple(f"{one:.4g}" for one in np.linspace(near, far, 3))
+    return _Panel("depth (unit of the model)", colours.astype(np.uint8), bar, marks)
 
 
 def _normal_colours(normal: NDArray[np.float32]) -> Picture:
@@ -190,7 +192,7 @@ def _arranged(
     larger = max(1, _PANEL // max(frame.shape))  # small sub-images: whole pixels, several times
     height, width = (side * larger for side in frame.shape)
     cell_width = max(width, 360)
-    cell_height = max(_TITLE + height, _TITLE + _LINE * (len(legend) + 3)) + _LINE + _GAP
+    cell_height = max(_TITLE + height, _TITLE + _LINE * (len(legend) + 3)) + _BAR + _LINE + _GAP
     rows = -(-(len(panels) + 1) // _COLUMNS)
     page = np.full(
         (_GAP + rows * cell_height, _GAP + _COLUMNS * (cell_width + _GAP), 3), _PAPER, np.uint8
@@ -201,13 +203,14 @@ def _arranged(
         texts.append(Text(x, y, panel.title, _TEXT, cell_width))
         image = panel.image.repeat(larger, axis=0).repeat(larger, axis=1)
         page[y + _TITLE : y + _TITLE + height, x : x + width] = image
-        if panel.scale is not None:
-            bar, low, high = panel.scale
-            y += _TITLE + height + 6
-            length = width // 2
-            chosen = np.linspace(0, bar.shape[1] - 1, length).round().astype(int)
-            page[y : y + _TEXT, x : x + length] = bar[0, chosen]
-            texts.append(Text(x + length + 8, y - 2, f"{low} to {high}", _TEXT, width - length))
+        if panel.bar is not None:
+            y += _TITLE + height + 4
+            chosen = np.linspace(0, panel.bar.shape[1] - 1, width).round().astype(int)
+            page[y : y + _BAR, x : x + width] = panel.bar[0, chosen]
+            for mark, words in enumerate(panel.marks):
+                share = mark / (len(panel.marks) - 1)
+                place = x + round(share * width), y + _BAR + 2
+                texts.append(Text(*place, words, _TEXT, cell_width, anchor=share))
     x, y = _corner(len(panels), cell_width, cell_height)
     shown = frame.rectangle
     scale = f", 1 of {frame.factor} pixels" if frame.factor > 1 else ""

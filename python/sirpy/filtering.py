@@ -24,7 +24,7 @@ _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the ma
 
 # Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
 # `evidence`. Fitted by benchmarks/confidence.py.
-CONFIDENCE = np.array([-2.164, 0.093, 2.177, -0.735, 4.362, -0.301, 0.616])
+CONFIDENCE = np.array([-1.755, 0.105, 2.023, -0.723, 4.535, -0.298])
 
 
 class Reason(IntFlag):
@@ -119,7 +119,7 @@ def filter_depths(
         part = _rows_of(estimate, rows)
         cosine = cosines(part.normal, intrinsics, _rows_of_window(window, rows))
         reason[rows] = _reasons(part, cosine, masked[rows], offered[rows], options)
-        confidence[rows] = probability(evidence(part, cosine, coplanar[rows]))
+        confidence[rows] = probability(evidence(part, coplanar[rows]))
     kept = np.where(reason == 0, estimate.depth, np.float32(0))
     speckle = _core.find_speckles(
         kept,
@@ -185,8 +185,8 @@ def coplanar_shares(
     )
 
 
-def evidence(estimate: Estimate, cosine: FloatMap, coplanar: FloatMap) -> npt.NDArray[np.float32]:
-    """What the confidence is made of, (7, height, width); the first plane is 1."""
+def evidence(estimate: Estimate, coplanar: FloatMap) -> npt.NDArray[np.float32]:
+    """What the confidence is made of, (6, height, width); the first plane is 1."""
     agreeing = estimate.num_consistent.astype(np.float32)
     return np.stack(
         [
@@ -196,7 +196,6 @@ def evidence(estimate: Estimate, cosine: FloatMap, coplanar: FloatMap) -> npt.ND
             np.log(np.clip(estimate.cost, 0, 2) + 0.01),
             coplanar,  # most wrong depths lie near edges of other depths
             np.log1p(estimate.texture),  # and these have contrast
-            np.clip(cosine, 0, 1),
         ]
     ).astype(np.float32)
 

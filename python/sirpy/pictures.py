@@ -56,13 +56,16 @@ def _encoded(image: NDArray[np.uint8], driver: str, **options: object) -> bytes:
 
 @dataclass(frozen=True)
 class Text:
-    """A line of text in a picture: (x, y) is its top-left corner, `size` its height, in pixels."""
+    """A line of text in a picture: its top is at y, and x at the share `anchor` of its length; `size` is
+    its height, in pixels.
+    """
 
     x: int
     y: int
     words: str
     size: int
     most_width: int  # shortened in the middle to fit
+    anchor: float = 0.0
 
 
 def with_texts(
@@ -80,7 +83,8 @@ def with_texts(
         while kept > 2 and draw.textlength(words, font) > text.most_width:
             kept -= 1
             words = f"{text.words[: kept // 2]}…{text.words[kept // 2 - kept :]}"
-        draw.text((text.x, text.y), words, colour, font)
+        left = text.x - text.anchor * draw.textlength(words, font)
+        draw.text((left, text.y), words, colour, font)
     return np.array(canvas)
 
 
