@@ -174,9 +174,8 @@ def _photometric(problem: _Problem) -> DepthMap:
 
 def _geometric(problem: _Problem) -> DepthMap:
     views, options = problem.views, problem.options
-    reference = problem.window(problem.native.name, views.window, with_depth=True, with_normal=True)
     maps = _core.patch_match(
-        reference,
+        problem.window(problem.native.name, views.window, with_depth=True, with_normal=True),
         [problem.window(source.name, source.window, with_depth=True) for source in views.sources],
         np.empty((0, 3)),
         problem.core_options("geometric"),

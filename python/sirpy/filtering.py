@@ -24,7 +24,7 @@ _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the ma
 
 # Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
 # `evidence`. Fitted by benchmarks/confidence.py.
-CONFIDENCE = np.array([-1.755, 0.105, 2.023, -0.723, 4.535, -0.298])
+CONFIDENCE = np.array([-1.633, 0.096, 2.009, -0.729, 4.522, -0.311])
 
 
 class Reason(IntFlag):
