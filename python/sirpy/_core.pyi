@@ -197,9 +197,26 @@ def patch_match_bytes_per_pixel(geometric: bool) -> tuple[int, int]:
     """Of the reference window, and of each source window."""
 
 def find_speckles(
-    depth: NDArray[np.float32], *, step_x: float, step_y: float, min_pixels: int
+    depth: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    *,
+    intrinsics: NDArray[np.float64],
+    x0: int,
+    y0: int,
+    step: float,
+    min_pixels: int,
 ) -> NDArray[np.uint8]:
-    """1 for each pixel of a speckle, (height, width); the steps are shares of the depth."""
+    """1 for each pixel of a speckle, (height, width); normal: 3 planes; step: pixels' worth of depth."""
+
+def coplanar_shares(
+    depth: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    *,
+    intrinsics: NDArray[np.float64],
+    x0: int,
+    y0: int,
+) -> NDArray[np.float32]:
+    """Share of the pixels around each that lie on its plane, (height, width); normal: 3 planes."""
 
 def instruction_set() -> str: ...
 

@@ -20,11 +20,11 @@ from sirpy.rectangle import Rectangle
 FloatMap = npt.NDArray[np.float32]
 ByteMap = npt.NDArray[np.uint8]
 
-_BAND_PIXELS = 1 << 20  # looked at a time, so that the memory is that of the maps
+_BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the maps
 
 # Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
 # `evidence`. Fitted by benchmarks/confidence.py.
-CONFIDENCE = np.array([4.60, 0.053, 3.75, -4.87, -0.45, 3.27])
+CONFIDENCE = np.array([-1.633, 0.096, 2.009, -0.729, 4.522, -0.311])
 
 
 class Reason(IntFlag):
@@ -61,10 +61,10 @@ class FilterOptions:
     # The same for pixels above max_cost: noise decides there, not texture.
     costly_consistent: int = 5
     weak_texture: float = 4.0  # grey levels squared: the variance of a patch of noise
-    untextured_consistent: int = 3  # sources that must agree below weak_texture
+    untextured_share: float = 0.4  # of the sources that see it: that must agree below weak_texture
     max_angle: float = 80.0  # degrees between ray and normal
     speckle_pixels: int = 30  # smaller islands are left out; at most the halo
-    speckle_slope: float = 2.0  # step between pixels of an island, in their size on the ground
+    speckle_step: float = 1.5  # pixels' worth of depth: neighbours of an island lie on one plane
 
     def __post_init__(self) -> None:
         """Raises InputError for an option out of range."""
@@ -73,10 +73,10 @@ class FilterOptions:
             "min_consistent": (0, 32),
             "costly_consistent": (0, 33),
             "weak_texture": (0, 65025),
-            "untextured_consistent": (0, 33),
+            "untextured_share": (0, 1),
             "max_angle": (1, 90),
             "speckle_pixels": (0, 100_000),
-            "speckle_slope": (0, 1000),
+            "speckle_step": (0, 1000),
         }
         check_bounds(self, bounds)
 
@@ -114,16 +114,20 @@ def filter_depths(
     reason = np.zeros(shape, np.uint8)
     confidence = np.zeros(shape, np.float32)
     offered = np.broadcast_to(np.asarray(num_sources, np.uint8), shape)
+    coplanar = coplanar_shares(estimate, intrinsics, window)
     for rows in _bands(shape):
         part = _rows_of(estimate, rows)
         cosine = cosines(part.normal, intrinsics, _rows_of_window(window, rows))
         reason[rows] = _reasons(part, cosine, masked[rows], offered[rows], options)
-        confidence[rows] = probability(evidence(part, cosine))
+        confidence[rows] = probability(evidence(part, coplanar[rows]))
     kept = np.where(reason == 0, estimate.depth, np.float32(0))
     speckle = _core.find_speckles(
         kept,
-        step_x=options.speckle_slope / float(intrinsics[0, 0]),
-        step_y=options.speckle_slope / float(intrinsics[1, 1]),
+        estimate.normal,
+        intrinsics=intrinsics,
+        x0=window.x0,
+        y0=window.y0,
+        step=options.speckle_step,
         min_pixels=options.speckle_pixels,
     )
     reason |= speckle * np.uint8(Reason.SPECKLE)
@@ -141,7 +145,6 @@ def _reasons(
     """Everything but speckles, which are found among what is left."""
     agreeing = estimate.num_consistent
     not_seen = (estimate.num_seeing == 0) | ~(estimate.depth > 0)
-    weak = estimate.texture < options.weak_texture
     reasons = {
         Reason.NOT_SEEN: not_seen,
         Reason.HIGH_COST: (estimate.cost > options.max_cost)
@@ -149,13 +152,19 @@ def _reasons(
         Reason.INCONSISTENT: agreeing < np.minimum(num_sources, options.min_consistent),
         Reason.MASKED: masked,
         Reason.GRAZING: ~not_seen & (cosine < np.cos(np.radians(options.max_angle))),
-        Reason.UNTEXTURED: weak
-        & (agreeing < np.minimum(num_sources, options.untextured_consistent)),
+        Reason.UNTEXTURED: (estimate.texture < options.weak_texture)
+        & (agreeing < options.untextured_share * estimate.num_seeing),
     }
     found = np.zeros(masked.shape, np.uint8)
     for reason, hit in reasons.items():
         found |= hit * np.uint8(reason)
     return found
+
+
+def first_reasons(reason: ByteMap) -> ByteMap:
+    """Of each pixel the first of its reasons; 0 where there is none."""
+    first: ByteMap = reason & (~reason + np.uint8(1))
+    return first
 
 
 def cosines(normal: FloatMap, intrinsics: npt.NDArray[np.float64], window: Rectangle) -> FloatMap:
@@ -167,7 +176,16 @@ def cosines(normal: FloatMap, intrinsics: npt.NDArray[np.float64], window: Recta
     return cosine
 
 
-def evidence(estimate: Estimate, cosine: FloatMap) -> npt.NDArray[np.float32]:
+def coplanar_shares(
+    estimate: Estimate, intrinsics: npt.NDArray[np.float64], window: Rectangle
+) -> FloatMap:
+    """Share of the pixels around each that lie on its plane (cpp/src/depth_filter.h)."""
+    return _core.coplanar_shares(
+        estimate.depth, estimate.normal, intrinsics=intrinsics, x0=window.x0, y0=window.y0
+    )
+
+
+def evidence(estimate: Estimate, coplanar: FloatMap) -> npt.NDArray[np.float32]:
     """What the confidence is made of, (6, height, width); the first plane is 1."""
     agreeing = estimate.num_consistent.astype(np.float32)
     return np.stack(
@@ -175,9 +193,9 @@ def evidence(estimate: Estimate, cosine: FloatMap) -> npt.NDArray[np.float32]:
             np.ones_like(agreeing),
             agreeing,
             agreeing / np.maximum(estimate.num_seeing, 1),
-            np.sqrt(np.clip(estimate.cost, 0, 2)),
-            np.log1p(estimate.texture),  # most of all at edges, where depths are mixed
-            np.clip(cosine, 0, 1),
+            np.log(np.clip(estimate.cost, 0, 2) + 0.01),
+            coplanar,  # most wrong depths lie near edges of other depths
+            np.log1p(estimate.texture),  # and these have contrast
         ]
     ).astype(np.float32)
 
@@ -191,26 +209,6 @@ def probability(
         odds += coefficient * plane
     likely: FloatMap = (1 / (1 + np.exp(-odds))).astype(np.float32)
     return likely
-
-
-def patch_variance(grey: ByteMap) -> FloatMap:
-    """Variance of the grey levels in the 9 x 9 pixels around each; the border is repeated."""
-
-    def sums(levels: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-        height, width = levels.shape
-        padded = np.pad(levels, 4, mode="edge")
-        rows = np.zeros((height, width + 8), np.int32)
-        total = np.zeros((height, width), np.int32)
-        for i in range(9):
-            rows += padded[i : i + height]
-        for i in range(9):
-            total += rows[:, i : i + width]
-        return total
-
-    levels = grey.astype(np.int32)
-    mean = sums(levels) / 81
-    variance: FloatMap = (sums(levels * levels) / 81 - mean * mean).astype(np.float32)
-    return np.maximum(variance, 0)
 
 
 def _bands(shape: tuple[int, ...]) -> Iterator[slice]:

@@ -24,9 +24,9 @@ LAYERS = """
     cmp_mvs mvsnet pmvs colmap_workspace
     exporting
     undistorter_options sir_undistorter colmap_launcher
-    filtering dense_stereo
+    stereo_passes filtering dense_stereo
     fusion
-    overview cloud_picture html_report
+    overview cloud_picture explaining html_report
     pipeline demo plan_table
     cli __main__
 """

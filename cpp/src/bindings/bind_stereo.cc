@@ -111,16 +111,38 @@ py::dict RunPatchMatch(const OwnedViewWindow& reference,
   return maps;
 }
 
-py::array_t<uint8_t> RunFindSpeckles(const Array<float>& depth, double step_x, double step_y,
-                                     int64_t min_pixels) {
+PlaneMap MakePlaneMap(const Array<float>& depth, const Array<float>& normal,
+                      const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0) {
   CheckDimensions(depth, 2, "depth");
+  CheckDimensions(normal, 3, "normal");
+  const py::ssize_t height = depth.shape(0), width = depth.shape(1);
+  if (normal.shape(0) != 3 || normal.shape(1) != height || normal.shape(2) != width) {
+    throw py::value_error("normal must have 3 planes of the size of depth");
+  }
+  return {{x0, y0, width, height}, intrinsics, depth.data(), normal.data()};
+}
+
+py::array_t<uint8_t> RunFindSpeckles(const Array<float>& depth, const Array<float>& normal,
+                                     const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0,
+                                     double step, int64_t min_pixels) {
+  const PlaneMap map = MakePlaneMap(depth, normal, intrinsics, x0, y0);
   std::vector<uint8_t> speckle;
   {
     py::gil_scoped_release release;
-    speckle = FindSpeckles(depth.data(), depth.shape(1), depth.shape(0),
-                           SpeckleOptions{step_x, step_y, min_pixels});
+    speckle = FindSpeckles(map, {step, min_pixels});
   }
   return ToArray(std::move(speckle), {depth.shape(0), depth.shape(1)});
+}
+
+py::array_t<float> RunCoplanarShares(const Array<float>& depth, const Array<float>& normal,
+                                     const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0) {
+  const PlaneMap map = MakePlaneMap(depth, normal, intrinsics, x0, y0);
+  std::vector<float> shares;
+  {
+    py::gil_scoped_release release;
+    shares = CoplanarShares(map);
+  }
+  return ToArray(std::move(shares), {depth.shape(0), depth.shape(1)});
 }
 
 }  // namespace
@@ -172,8 +194,12 @@ void BindStereo(py::module_& module) {
     const PatchMatchMemory memory = PatchMatchBytesPerPixel(geometric);
     return py::make_tuple(memory.per_reference_pixel, memory.per_source_pixel);
   });
-  module.def("find_speckles", &RunFindSpeckles, py::arg("depth").noconvert(), py::kw_only(),
-             py::arg("step_x"), py::arg("step_y"), py::arg("min_pixels"));
+  module.def("find_speckles", &RunFindSpeckles, py::arg("depth").noconvert(),
+             py::arg("normal").noconvert(), py::kw_only(), py::arg("intrinsics"), py::arg("x0"),
+             py::arg("y0"), py::arg("step"), py::arg("min_pixels"));
+  module.def("coplanar_shares", &RunCoplanarShares, py::arg("depth").noconvert(),
+             py::arg("normal").noconvert(), py::kw_only(), py::arg("intrinsics"), py::arg("x0"),
+             py::arg("y0"));
   module.def("instruction_set", [] { return patch_match::BestKernels().name; });
 }
 
