@@ -43,6 +43,8 @@ from sirpy.view_windows import source_windows
 from sirpy.windows import read_map, read_mask_window, write_map
 from sirpy.workspace import Workspace
 
+_LEAST_SIDE = 2  # pixels of a source's window: what is narrower holds no patch
+
 
 @dataclass(frozen=True)
 class StereoOptions(FilterOptions):
@@ -231,6 +233,8 @@ class _Estimator:
             return None
         native = self._natives[source.name]
         rectangle = at_level(window, level + source.level)
+        if min(rectangle.width, rectangle.height) < _LEAST_SIDE:
+            return None
         depth = None
         if depths is not None:
             depth = depths.read_coarser(native, rectangle, source.level)
