@@ -148,7 +148,7 @@ class _Estimator:
         """The window, `kept` with its halo, and what the pass finds in it."""
         native, level = unit.native, of_pass.level
         # What is filtered must know the islands that reach into what is kept.
-        reach = of_pass.margin + (self._options.speckle_pixels if of_pass.is_last else 0)
+        reach = of_pass.margin + (self._options.margin if of_pass.is_last else 0)
         halo = min(self._views.halo, reach)
         window = kept.padded(halo).intersection(at_level(native.covered, level))
         field = self._views.fields[native.name]

@@ -20,6 +20,7 @@ from sirpy.rectangle import Rectangle
 FloatMap = npt.NDArray[np.float32]
 ByteMap = npt.NDArray[np.uint8]
 
+_COPLANAR_REACH = 4  # pixels (kCoplanarReach in depth_filter.cc)
 _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the maps
 
 # Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
@@ -79,6 +80,11 @@ class FilterOptions:
             "speckle_step": (0, 1000),
         }
         check_bounds(self, bounds)
+
+    @property
+    def margin(self) -> int:
+        """Pixels around a pixel whose estimates have a say in what becomes of it."""
+        return max(self.speckle_pixels, _COPLANAR_REACH)
 
 
 def check_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pycolmap
 import pytest
 from numpy.typing import NDArray
 from sirpy import dense_stereo
@@ -15,13 +16,16 @@ from sirpy.cut_tasks import PixelOptions
 from sirpy.cutting import cut
 from sirpy.dense_stereo import StereoOptions, passes, stereo
 from sirpy.fusion import fuse
+from sirpy.layout import Region
+from sirpy.native_scene import read_native_scene
 from sirpy.ply import read_vertices
-from sirpy.rectangle import Grid
+from sirpy.rectangle import Grid, Rectangle
 from sirpy.stereo_passes import StereoPass
-from sirpy.synthetic import render_scene
-from sirpy.view_selection import views
+from sirpy.synthetic import read_truth, render_scene
+from sirpy.view_selection import read_views, views
 from sirpy.windows import read_map
 from sirpy.workspace import Workspace
+from tele_scene import wide_and_tele
 
 # More than any pass reaches, and far less.
 FULL, NONE = 1000, 0
@@ -50,10 +54,24 @@ def short_passes() -> Iterator[None]:
         yield
 
 
-def _stereo(scene: Path, output: Path, grid: Grid, halo: int, threads: int = 2) -> Workspace:
-    # PNG: JPEG compresses the pixels of other sub-images otherwise.
-    pixels = PixelOptions(format="png")
-    workspace = cut(scene / "images", scene / "sparse", output, grid=grid, pixels=pixels)
+def _stereo(
+    scene: Path,
+    output: Path,
+    grid: Grid,
+    halo: int,
+    threads: int = 2,
+    region: Region = Region(),
+) -> Workspace:
+    workspace = cut(
+        scene / "images",
+        scene / "sparse",
+        output,
+        grid=grid,
+        region=region,
+        pixels=PixelOptions(
+            format="png"
+        ),  # JPEG compresses the pixels of other sub-images otherwise
+    )
     views(workspace, num_sources=2, halo=halo)
     stereo(workspace, options=replace(QUICK, threads=threads))
     return workspace
@@ -64,7 +82,7 @@ def _maps(workspace: Workspace) -> dict[str, NDArray[Any]]:
     cores."""
     maps = {}
     for native in workspace.natives:
-        planes = np.full((6, native.height, native.width), np.nan, np.float32)
+        planes = np.full((6, native.height, native.width), -1, np.float32)  # what is not cut
         for sub in native.sub_images:
             found = [
                 read_map(workspace.depth_map(sub, "geometric"))[None],
@@ -101,6 +119,43 @@ def test_with_the_full_halo_a_grid_changes_nothing(
         assert (planes[0] > 0).mean() > 0.3
         np.testing.assert_array_equal(found[name], planes, name)
     assert (_sorted_points(cut_up) == _sorted_points(whole)).all()
+
+
+def test_of_a_region_of_interest_a_grid_changes_nothing(field: Path, tmp_path: Path) -> None:
+    # Its corners lie inside pixels of the coarser levels; a sub-image is a pixel wide.
+    region = Region(roi=Rectangle(53, 31, 301, 130))
+    expected, found = (
+        _maps(_stereo(field, tmp_path / str(grid), grid, FULL, region=region))
+        for grid in (Grid(1, 1), Grid.with_cuts((54, 199), (80,)))
+    )
+    for name, planes in expected.items():
+        assert (planes[0] >= 0).sum() == 301 * 130
+        np.testing.assert_array_equal(found[name], planes, name)
+    assert sum((planes[0] > 0).sum() for planes in expected.values()) > 5000
+
+
+def test_a_source_that_samples_more_finely_is_matched_at_a_coarser_level(tmp_path: Path) -> None:
+    scene = wide_and_tele(tmp_path / "scene")
+    workspace = _stereo(scene, tmp_path / "out", Grid(2, 1), FULL)
+    found, truth = read_views(workspace), read_truth(scene)
+    assert [source.level for source in found.fields["wide.png"].sources] == [1]
+    assert [source.level for source in found.fields["tele.png"].sources] == [0]
+    model = pycolmap.Reconstruction(workspace.native_model)
+    cameras = read_native_scene(workspace).cameras
+    for image in model.images.values():
+        camera, depth = cameras[image.name], _maps(workspace)[image.name][0]
+        exact = truth.depth_map(model.cameras[image.camera_id], image.cam_from_world())
+        (other,) = (one for one in cameras.values() if one is not camera)
+        y, x = (axis.ravel() + 0.5 for axis in np.indices(exact.shape))
+        seen = other.project(camera.world(np.column_stack([x, y]), exact.ravel().astype(float)))
+        border = 16
+        size = np.array([other.width, other.height])
+        inside = ((seen > border) & (seen < size - border)).all(axis=1).reshape(exact.shape)
+        assert inside.sum() > 5000
+        # The base is a fifth of the height: a pixel of the wide one is half a metre of depth.
+        error = (depth - exact)[inside]
+        assert (np.abs(error) < 0.5).mean() > 0.75
+        assert abs(np.median(error[depth[inside] > 0])) < 0.05
 
 
 def test_without_a_halo_a_grid_is_felt(field: Path, whole: Workspace, tmp_path: Path) -> None:
