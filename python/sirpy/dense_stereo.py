@@ -150,6 +150,8 @@ class _Estimator:
         halo = min(self._views.halo, reach)
         window = kept.padded(halo).intersection(at_level(native.covered, level))
         field = self._views.fields[native.name]
+        if not field.sources:
+            return window, nothing_found(window)
         windows = source_windows(
             self._scene,
             field,
@@ -157,8 +159,6 @@ class _Estimator:
             level=level,
             covered=self._covered,
         )
-        if not windows:
-            return window, nothing_found(window)
         depths = before if of_pass.kind == "geometric" else None
         found = _core.patch_match(
             reference=self._view(native, window, level),
