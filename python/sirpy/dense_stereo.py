@@ -49,8 +49,8 @@ class StereoOptions(FilterOptions):
     """Options of `stereo`; those of the estimator carry the names and defaults of the C++ core."""
 
     top_views: int = 4  # sources that a pixel is matched against, at most
-    native_iterations: int = 2  # sweeps at native resolution, photometric pass
-    geometric_iterations: int = 2  # sweeps of the geometric pass there
+    native_iterations: int = 3  # sweeps at native resolution, photometric pass
+    geometric_iterations: int = 1  # sweeps of the geometric pass there
     seed: int = 0
     threads: int = 0  # 0: one for each core
 
