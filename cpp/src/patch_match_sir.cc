@@ -72,6 +72,9 @@ void SetWarp(const ViewWindow& from, const ViewWindow& to, double* a, double* b)
   Eigen::Map<Eigen::Vector3d>(b, 3) = to_intrinsics * translation;
 }
 
+// Of a source without pixels: what the kernels read for a patch outside.
+constexpr float kNoDepth[2] = {};
+
 // The problem packed for the kernels: a Level and what it points to.
 struct LevelData {
   Level level;
@@ -81,13 +84,12 @@ struct LevelData {
   std::vector<std::vector<float>> inverse_depths;
 };
 
-std::vector<Block> MakeBlocks(const ViewBlocks& blocks, const std::vector<ViewWindow>& sources) {
-  uint32_t given = 0;
-  for (size_t j = 0; j < sources.size(); ++j) given |= uint32_t(sources[j].grey != nullptr) << j;
+std::vector<Block> MakeBlocks(const ViewBlocks& blocks, size_t num_sources) {
+  const auto sources = uint32_t((uint64_t(1) << num_sources) - 1);
   std::vector<Block> packed(size_t(blocks.columns) * blocks.rows);
   for (size_t i = 0; i < packed.size(); ++i) {
     if (!(blocks.min_depth[i] > 0)) continue;  // nothing is known: no plane is possible
-    packed[i] = {blocks.allowed[i] & given, 1 / blocks.max_depth[i], 1 / blocks.min_depth[i]};
+    packed[i] = {blocks.allowed[i] & sources, 1 / blocks.max_depth[i], 1 / blocks.min_depth[i]};
   }
   return packed;
 }
@@ -107,7 +109,7 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
   level.fy = float(intrinsics(1, 1));
   level.cx = float(intrinsics(0, 2));
   level.cy = float(intrinsics(1, 2));
-  data.blocks = MakeBlocks(blocks, sources);
+  data.blocks = MakeBlocks(blocks, sources.size());
   level.blocks = data.blocks.data();
   level.block_side = blocks.side >> reference.level;
   level.block_columns = blocks.columns;
@@ -119,6 +121,8 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
   level.num_sources = int(sources.size());
   data.quads.resize(sources.size());
   data.inverse_depths.resize(sources.size());
+  const bool geometric = std::any_of(sources.begin(), sources.end(),
+                                     [](const ViewWindow& view) { return view.depth != nullptr; });
   // Allocated here: running out of memory inside a parallel region would end the process.
   for (size_t j = 0; j < sources.size(); ++j) {
     if (!sources[j].grey) continue;
@@ -128,8 +132,12 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
 #pragma omp parallel for schedule(dynamic)
   for (size_t j = 0; j < sources.size(); ++j) {
     const ViewWindow& view = sources[j];
-    if (!view.grey) continue;
     patch_match::SourceLevel& source = level.sources[j];
+    if (!view.grey) {
+      // Like a window that holds no patch: whether it is given must change nothing.
+      if (geometric) source.inverse_depth = kNoDepth;
+      continue;
+    }
     source.width = int(view.rectangle.width);
     source.height = int(view.rectangle.height);
     patch_match::PackQuads(view.grey, source.width, source.height, data.quads[j].data());
@@ -262,10 +270,11 @@ void Check(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
   };
   require(!sources.empty() && sources.size() <= kMaxSources,
           "needs 1 to 32 sources, not " + std::to_string(sources.size()));
-  const auto check = [&](const ViewWindow& view) {
+  const auto check = [&](const ViewWindow& view, int least) {
     const Rectangle& window = view.rectangle;
     require(view.level >= 0 && view.level <= 16, "a level must be in [0, 16]");
-    require(window.width >= 2 && window.height >= 2, "a window must be 2x2 pixels or more");
+    require(window.width >= least && window.height >= least,
+            "a window must be " + std::to_string(least) + " pixels wide and high, or more");
     require(window.width <= std::numeric_limits<int32_t>::max() / window.height,
             "a window must have fewer than 2^31 pixels");
     const Eigen::Matrix3d& k = view.intrinsics;
@@ -273,9 +282,9 @@ void Check(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
                 view.rotation.allFinite() && view.translation.allFinite(),
             "a camera must be a finite pinhole without skew");
   };
-  check(reference);
+  check(reference, 1);
   for (const ViewWindow& source : sources) {
-    if (source.grey) check(source);
+    if (source.grey) check(source, 2);
   }
   const int64_t side = blocks.side >> reference.level;
   require(side >= 1 && side << reference.level == blocks.side,

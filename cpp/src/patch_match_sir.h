@@ -53,7 +53,7 @@ struct ViewWindow {
   Eigen::Vector3d translation;
   int level = 0;        // a source that samples the surface finer is given at a coarser level
   Rectangle rectangle;  // pixels of the level
-  const uint8_t* grey = nullptr;  // null: a source that this window needs nothing of
+  const uint8_t* grey = nullptr;  // null: a source that sees nothing of this window
   const float* depth = nullptr;   // of sources in a geometric pass; 0 where there is none
 };
 

@@ -282,7 +282,10 @@ class DepthView:
 def fuse(
     reference: DepthView,
     normal: NDArray[np.float32],
-    sources: Sequence[DepthView],
+    sources: Sequence[DepthView | None],
+    *,
+    block_side: int,
+    allowed: NDArray[np.uint32],
     options: FusionOptions,
 ) -> tuple[
     NDArray[np.float64], NDArray[np.float32], NDArray[np.int64], NDArray[np.uint8], int, int

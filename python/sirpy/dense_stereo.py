@@ -49,8 +49,8 @@ class StereoOptions(FilterOptions):
     """Options of `stereo`; those of the estimator carry the names and defaults of the C++ core."""
 
     top_views: int = 4  # sources that a pixel is matched against, at most
-    native_iterations: int = 1  # sweeps at native resolution, photometric pass
-    geometric_iterations: int = 2  # sweeps of the geometric pass there
+    native_iterations: int = 3  # sweeps at native resolution, photometric pass
+    geometric_iterations: int = 1  # sweeps of the geometric pass there
     seed: int = 0
     threads: int = 0  # 0: one for each core
 
@@ -73,7 +73,7 @@ def passes(coarsest: int, options: StereoOptions) -> list[StereoPass]:
         StereoPass(coarsest, "geometric", 2, complete=True),
         *(StereoPass(level, "photometric", 2) for level in range(coarsest - 1, 0, -1)),
         StereoPass(0, "photometric", options.native_iterations, offers=5),
-        StereoPass(0, "geometric", options.geometric_iterations, offers=5, select_views=False),
+        StereoPass(0, "geometric", options.geometric_iterations, offers=5),
     ]
 
 
@@ -152,6 +152,8 @@ class _Estimator:
         halo = min(self._views.halo, reach)
         window = kept.padded(halo).intersection(at_level(native.covered, level))
         field = self._views.fields[native.name]
+        if not field.sources:
+            return window, nothing_found(window)
         windows = source_windows(
             self._scene,
             field,
@@ -159,8 +161,6 @@ class _Estimator:
             level=level,
             covered=self._covered,
         )
-        if not windows:
-            return window, nothing_found(window)
         depths = before if of_pass.kind == "geometric" else None
         found = _core.patch_match(
             reference=self._view(native, window, level),

@@ -120,7 +120,7 @@ def read_grey(
 
 
 def nothing_found(window: Rectangle) -> dict[str, npt.NDArray[Any]]:
-    """What the core finds where there is no source."""
+    """What is found in a photograph without any source."""
     shape = window.height, window.width
     kinds = {"depth": np.float32, "views": np.uint32, "cost": np.float32, "texture": np.float32}
     found: dict[str, npt.NDArray[Any]] = {

@@ -19,6 +19,7 @@ from sirpy.view_fields import ViewField, frustum_corners, projected_boxes, view_
 # Pixels of a level: the largest reach of a patch in a source (kMaxReach in ncc.h), and interpolation.
 PATCH_REACH = 18
 
+_LEAST_SIDE = 2  # pixels of a level: what is narrower holds no patch
 _MOST_COARSE_PIXELS = 2_000_000  # of a whole photograph at the coarsest level
 LEAST_COARSEST = 2
 
@@ -144,7 +145,7 @@ def source_windows(
 
     Returns:
         Windows by index in `field.sources`, native pixels; of those sources alone that a block of the
-        window allows and that hold something of it.
+        window allows and that may see something of it.
     """
     blocks = field.blocks(window)
     allowed = field.allowed[blocks].ravel()
@@ -164,7 +165,7 @@ def source_windows(
         if covered is not None:
             whole = aligned(covered[source.name], whole, step)
         found = aligned(box.padded(PATCH_REACH * step), whole, step)
-        if found.area:
+        if min(found.width, found.height) > (_LEAST_SIDE - 1) * step:
             windows[index] = found
     return windows
 

@@ -246,12 +246,13 @@ TEST(PatchMatchSir, ABlockBoundsDepthsAndSources) {
 
 TEST(PatchMatchSir, SmallWindowsAreNoSpecialCase) {
   const Scene scene(PlaneSurface({0, 0, -1}, -10));
-  for (const auto& [width, height] : {std::pair{2, 2}, {3, 7}, {9, 2}, {16, 1 + 4}}) {
+  for (const auto& [width, height] : {std::pair{1, 1}, {1, 5}, {2, 2}, {3, 7}, {9, 2}, {16, 5}}) {
     std::vector<uint8_t> grey(size_t(width) * height, 90);
     ViewWindow window = scene.reference.Window();
     window.rectangle = {80, 60, width, height};
     window.grey = grey.data();
     EXPECT_EQ(scene.RunPass(0, nullptr, {}, window.rectangle).depth.size(), grey.size());
+    if (width == 1) continue;
     // As a source it is smaller than a patch: nothing can be compared.
     const PatchMatchResult blind =
         PatchMatchSir(scene.reference.Window(), {window}, scene.blocks.View(), {}, nullptr, {});
@@ -264,6 +265,36 @@ TEST(PatchMatchSir, WhatNoSourceSeesHasNoDepth) {
   scene.sources = {Render({60, 0, 0}, PlaneSurface({0, 0, -1}, -10), kWidth, kHeight)};
   const PatchMatchResult result = scene.Run();
   EXPECT_EQ(std::count(result.depth.begin(), result.depth.end(), 0.f), kWidth * kHeight);
+}
+
+TEST(PatchMatchSir, ASourceThatIsNotGivenIsOneThatSeesNothing) {
+  const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
+  const std::vector<float> depth(4, 10);
+  for (bool geometric : {false, true}) {
+    std::vector<ViewWindow> windows;
+    for (const RenderedView& source : scene.sources) windows.push_back(source.Window(geometric));
+    const std::vector<uint32_t> views(kWidth * kHeight, 15);
+    const StartMaps start{0,
+                          {0, 0, kWidth, kHeight},
+                          scene.reference.depth.data(),
+                          scene.reference.normal.data(),
+                          views.data()};
+    // Two by two pixels in a corner, where no patch lies.
+    windows[1].rectangle = {0, 0, 2, 2};
+    if (geometric) windows[1].depth = depth.data();
+    const auto run = [&] {
+      return PatchMatchSir(scene.reference.Window(), windows, scene.blocks.View(), {}, &start, {});
+    };
+    const PatchMatchResult small = run();
+    windows[1] = ViewWindow{};
+    const PatchMatchResult none = run();
+    EXPECT_EQ(small.depth, none.depth);
+    EXPECT_EQ(small.normal, none.normal);
+    EXPECT_EQ(small.views, none.views);
+    EXPECT_EQ(small.cost, none.cost);
+    EXPECT_EQ(small.num_consistent, none.num_consistent);
+    EXPECT_EQ(*std::max_element(none.num_seeing.begin(), none.num_seeing.end()), 3);
+  }
 }
 
 TEST(PatchMatchOptions, ErrorNamesFieldValueAndBound) {

@@ -25,10 +25,10 @@ struct SourceLevel {
   int height = 0;
   float x0 = 0;  // origin of the window
   float y0 = 0;
-  double a[9];  // row-major
-  double b[3];
-  double back_a[9];  // the same from the source to the reference
-  double back_b[3];
+  double a[9] = {};  // row-major
+  double b[3] = {};
+  double back_a[9] = {};  // the same from the source to the reference
+  double back_b[3] = {};
 };
 
 // What is known of the pixels of a block before they are looked at.
