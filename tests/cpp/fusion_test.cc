@@ -142,12 +142,12 @@ TEST(Fusion, APixelCountsTheSourcesOfItsBlockAlone) {
   for (int64_t pixel : without.pixel) EXPECT_LT(pixel % 120, 60);
   EXPECT_GT(without.pixel.size(), 0.25 * 120 * 90);
   const uint32_t unknown = 8;
-  EXPECT_THROW(Fuse(views[0].Depths(0), views[0].normal.data(), sources, {200, 1, 1, &unknown},
-                    options),
-               std::invalid_argument);
-  EXPECT_THROW(Fuse(views[0].Depths(0), views[0].normal.data(), sources, {60, 1, 1, halves},
-                    options),
-               std::invalid_argument);
+  EXPECT_THROW(
+      Fuse(views[0].Depths(0), views[0].normal.data(), sources, {200, 1, 1, &unknown}, options),
+      std::invalid_argument);
+  EXPECT_THROW(
+      Fuse(views[0].Depths(0), views[0].normal.data(), sources, {60, 1, 1, halves}, options),
+      std::invalid_argument);
 }
 
 }  // namespace
