@@ -51,8 +51,8 @@ class StereoOptions(FilterOptions):
     """Options of `stereo`; those of the estimator carry the names and defaults of the C++ core."""
 
     top_views: int = 4  # sources that a pixel is matched against, at most
-    native_iterations: int = 1  # sweeps at native resolution, photometric pass
-    geometric_iterations: int = 2  # sweeps of the geometric pass there
+    native_iterations: int = 3  # sweeps at native resolution, photometric pass
+    geometric_iterations: int = 1  # sweeps of the geometric pass there
     seed: int = 0
     threads: int = 0  # 0: one for each core
 
@@ -75,7 +75,7 @@ def passes(coarsest: int, options: StereoOptions) -> list[StereoPass]:
         StereoPass(coarsest, "geometric", 2),
         *(StereoPass(level, "photometric", 2) for level in range(coarsest - 1, 0, -1)),
         StereoPass(0, "photometric", options.native_iterations, offers=5),
-        StereoPass(0, "geometric", options.geometric_iterations, offers=5, select_views=False),
+        StereoPass(0, "geometric", options.geometric_iterations, offers=5),
     ]
 
 

@@ -57,14 +57,15 @@ class Estimate:
 class FilterOptions:
     """Which depths are kept."""
 
-    max_cost: float = 0.6  # 1 - NCC: pixels above need more sources that agree
+    max_cost: float = 0.8  # 1 - NCC: pixels above need more sources that agree
     min_consistent: int = 2  # sources whose depth must agree
     # The same for pixels above max_cost: noise decides there, not texture.
     costly_consistent: int = 5
     weak_texture: float = 4.0  # grey levels squared: the variance of a patch of noise
     untextured_share: float = 0.4  # of the sources that see it: that must agree below weak_texture
     max_angle: float = 80.0  # degrees between ray and normal
-    speckle_pixels: int = 30  # smaller islands are left out; at most the halo
+    speckle_pixels: int = 6  # smaller islands are left out; at most the halo
+    speckle_consistent: int = 3  # sources that must agree on a pixel of an island all the same
     speckle_step: float = 1.5  # pixels' worth of depth: neighbours of an island lie on one plane
 
     def __post_init__(self) -> None:
@@ -77,6 +78,7 @@ class FilterOptions:
             "untextured_share": (0, 1),
             "max_angle": (1, 90),
             "speckle_pixels": (0, 100_000),
+            "speckle_consistent": (0, 33),
             "speckle_step": (0, 1000),
         }
         check_bounds(self, bounds)
@@ -136,7 +138,8 @@ def filter_depths(
         step=options.speckle_step,
         min_pixels=options.speckle_pixels,
     )
-    reason |= speckle * np.uint8(Reason.SPECKLE)
+    unsure = estimate.num_consistent < options.speckle_consistent
+    reason |= (speckle & unsure) * np.uint8(Reason.SPECKLE)
     confidence[reason != 0] = 0
     return reason, confidence
 

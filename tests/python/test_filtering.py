@@ -79,8 +79,8 @@ def leaning(degrees: float, ray: np.ndarray) -> np.ndarray:
         ({}, 9, 0),
         ({"num_seeing": 0, "num_consistent": 0}, 9, Reason.NOT_SEEN | Reason.INCONSISTENT),
         ({"depth": 0}, 9, Reason.NOT_SEEN),
-        ({"cost": 0.7, "num_consistent": 4}, 9, Reason.HIGH_COST),
-        ({"cost": 0.7, "num_consistent": 5}, 9, 0),
+        ({"cost": 0.9, "num_consistent": 4}, 9, Reason.HIGH_COST),
+        ({"cost": 0.9, "num_consistent": 5}, 9, 0),
         ({"num_consistent": 1}, 9, Reason.INCONSISTENT),
         ({"num_consistent": 2}, 9, 0),
         ({"num_consistent": 1, "num_seeing": 1}, 1, 0),  # no more can agree
@@ -88,7 +88,7 @@ def leaning(degrees: float, ray: np.ndarray) -> np.ndarray:
         ({"texture": 3, "num_consistent": 4}, 9, 0),
         ({"texture": 3, "num_consistent": 3, "num_seeing": 7}, 9, 0),
         ({"texture": 5, "num_consistent": 3}, 9, 0),
-        ({"cost": 0.7, "num_consistent": 1}, 9, Reason.HIGH_COST | Reason.INCONSISTENT),
+        ({"cost": 0.9, "num_consistent": 1}, 9, Reason.HIGH_COST | Reason.INCONSISTENT),
     ],
 )
 def test_each_reason(values: dict[str, float], num_sources: int, reason: int) -> None:
@@ -129,16 +129,21 @@ def test_islands_are_speckles_unless_they_are_large_or_may_go_on() -> None:
     depth[5:9, 5:12] = 11  # 28 pixels
     depth[15:20, 20:26] = 11  # 30
     depth[20:30, 35:37] = 11  # 20, on the border
-    reason, _ = filtered(replace(estimate, depth=depth))
+    depth[1:3, 20:24] = 11  # 8, half of them confirmed by three sources
+    agreeing = np.full_like(estimate.num_consistent, 2)
+    agreeing[1] = 3
+    estimate = replace(estimate, depth=depth, num_consistent=agreeing)
+    reason, _ = filtered(estimate, options=FilterOptions(speckle_pixels=30, speckle_consistent=3))
     expected = np.zeros_like(reason)
     expected[5:9, 5:12] = Reason.SPECKLE
+    expected[2, 20:24] = Reason.SPECKLE
     np.testing.assert_array_equal(reason, expected)
 
 
 @given(seed=st.integers(0, 1000), x0=st.integers(0, 60), y0=st.integers(0, 40))
 def test_what_is_kept_does_not_depend_on_the_window(seed: int, x0: int, y0: int) -> None:
     """Every pixel at least a halo of `speckle_pixels` from the border; in any bands of rows."""
-    options = FilterOptions(speckle_pixels=12)
+    options = FilterOptions(speckle_pixels=12, speckle_consistent=33)
     whole = random_estimate(seed)
     rectangle = Rectangle(x0, y0, 48, 40)
     rows, columns = rectangle.slices_in(Rectangle(0, 0, 110, 80))

@@ -13,10 +13,9 @@ SIRPY_INLINE Floats InverseDepthAt(const SourceLevel& source, Floats x, Floats y
   const Ints ix = Truncate(x), iy = Truncate(y);
   const Floats fx = x - ToFloats(ix), fy = y - ToFloats(iy);
   const Ints at = iy * source.width + ix;
-  const auto table = reinterpret_cast<const uint32_t*>(source.inverse_depth);
-  const Floats v00 = (Floats)Gather(table, at), v10 = (Floats)Gather(table, at + 1);
-  const Floats v01 = (Floats)Gather(table, at + source.width);
-  const Floats v11 = (Floats)Gather(table, at + source.width + 1);
+  const float* table = source.inverse_depth;
+  const Floats v00 = Gather(table, at), v10 = Gather(table, at + 1);
+  const Floats v01 = Gather(table, at + source.width), v11 = Gather(table, at + source.width + 1);
   const Ints right = fx >= 0.5f;
   const Floats nearest = Select(fy < 0.5f, Select(right, v10, v00), Select(right, v11, v01));
   const Floats close = 0.01f * nearest;

@@ -42,6 +42,7 @@ SIRPY_INLINE Ints SplatInt(int32_t value) { return Ints{} + value; }
 SIRPY_INLINE Floats Select(Ints mask, Floats yes, Floats no) {
   return (Floats)((mask & (Ints)yes) | (~mask & (Ints)no));
 }
+SIRPY_INLINE Ints Select(Ints mask, Ints yes, Ints no) { return (mask & yes) | (~mask & no); }
 SIRPY_INLINE Floats Min(Floats a, Floats b) { return Select(a < b, a, b); }
 SIRPY_INLINE Floats Max(Floats a, Floats b) { return Select(a > b, a, b); }
 SIRPY_INLINE Floats Abs(Floats a) { return (Floats)((Ints)a & 0x7fffffff); }
@@ -68,6 +69,18 @@ SIRPY_INLINE Floats EverySecondByte(const uint8_t* bytes) {
   return __builtin_convertvector(two & 255, Floats);
 #else
   return __builtin_convertvector(two >> 8, Floats);
+#endif
+}
+
+// Numbers 0, 2, 4 ... of 2 kLanes.
+SIRPY_INLINE Floats EverySecond(const float* numbers) {
+  typedef uint64_t Twos __attribute__((vector_size(8 * SIRPY_LANES)));
+  Twos two;
+  std::memcpy(&two, numbers, sizeof two);
+#if __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__
+  return (Floats) __builtin_convertvector(two, Words);
+#else
+  return (Floats) __builtin_convertvector(two >> 32, Words);
 #endif
 }
 
@@ -123,6 +136,9 @@ SIRPY_INLINE Ints Gather(const uint32_t* table, Ints index) {
   }
   return values;
 #endif
+}
+SIRPY_INLINE Floats Gather(const float* table, Ints index) {
+  return (Floats)Gather(reinterpret_cast<const uint32_t*>(table), index);
 }
 
 // exp(a) for -80 < a < 80, relative error below 2e-5: 2^(a log2 e), the fraction by a polynomial.
