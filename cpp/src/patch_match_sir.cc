@@ -81,7 +81,6 @@ struct LevelData {
   std::vector<uint8_t> reference;
   std::vector<Block> blocks;
   std::vector<std::vector<uint32_t>> quads;
-  std::vector<std::vector<float>> inverse_depths;
 };
 
 std::vector<Block> MakeBlocks(const ViewBlocks& blocks, size_t num_sources) {
@@ -120,14 +119,12 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
   level.all_sources = options.all_sources;
   level.num_sources = int(sources.size());
   data.quads.resize(sources.size());
-  data.inverse_depths.resize(sources.size());
-  const bool geometric = std::any_of(sources.begin(), sources.end(),
-                                     [](const ViewWindow& view) { return view.depth != nullptr; });
+  const bool geometric = std::any_of(sources.begin(), sources.end(), [](const ViewWindow& view) {
+    return view.inverse_depth != nullptr;
+  });
   // Allocated here: running out of memory inside a parallel region would end the process.
   for (size_t j = 0; j < sources.size(); ++j) {
-    if (!sources[j].grey) continue;
-    data.quads[j].resize(size_t(sources[j].rectangle.Area()));
-    if (sources[j].depth) data.inverse_depths[j].resize(data.quads[j].size());
+    if (sources[j].grey) data.quads[j].resize(size_t(sources[j].rectangle.Area()));
   }
 #pragma omp parallel for schedule(dynamic)
   for (size_t j = 0; j < sources.size(); ++j) {
@@ -146,12 +143,7 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
     source.y0 = float(view.rectangle.y0);
     SetWarp(reference, view, source.a, source.b);
     SetWarp(view, reference, source.back_a, source.back_b);
-    if (!view.depth) continue;
-    std::vector<float>& inverse = data.inverse_depths[j];
-    for (size_t i = 0; i < inverse.size(); ++i) {
-      inverse[i] = view.depth[i] > 0 ? 1 / view.depth[i] : 0;
-    }
-    source.inverse_depth = inverse.data();
+    source.inverse_depth = view.inverse_depth;
   }
   return data;
 }
@@ -212,7 +204,8 @@ std::vector<float> Prior(const Level& level, const PlaneSource& source) {
   return prior;
 }
 
-PatchMatchResult Finish(const Level& level, const KernelOptions& options, PlaneArrays* arrays) {
+// Refines the planes; of the result all but what follows from them alone.
+PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneArrays* arrays) {
   Planes planes = arrays->View();
   const Kernels& kernels = BestKernels();
   const size_t size = arrays->rho.size();
@@ -227,6 +220,14 @@ PatchMatchResult Finish(const Level& level, const KernelOptions& options, PlaneA
   for (int y = 0; y < level.height; ++y) {
     kernels.finish_row(level, options, &planes, &assessment, y);
   }
+  return result;
+}
+
+// Of `level` only the camera and the window are read.
+void SetDepths(const Level& level, PlaneArrays* arrays, PatchMatchResult* into) {
+  const Planes planes = arrays->View();
+  const size_t size = arrays->rho.size();
+  PatchMatchResult& result = *into;
   result.depth.resize(size);
   result.normal.resize(3 * size);
 #pragma omp parallel for
@@ -244,7 +245,6 @@ PatchMatchResult Finish(const Level& level, const KernelOptions& options, PlaneA
     }
   }
   result.views = std::move(arrays->views);
-  return result;
 }
 
 // The number of threads inside its scope; the caller's is restored.
@@ -336,7 +336,13 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
                         RandomPlanes(data.level, points, 1.0 / (1 << reference.level)));
   }
   Sweep(data.level, kernel, options.iterations, &planes);
-  return Finish(data.level, kernel, &planes);
+  PatchMatchResult result = Assess(data.level, kernel, &planes);
+  // The pixels are not needed any more, and the largest maps are still to come.
+  const Level level = data.level;
+  data = LevelData();
+  prior = std::vector<float>();
+  SetDepths(level, &planes, &result);
+  return result;
 }
 
 int PatchMatchMargin(int iterations) {
@@ -344,10 +350,10 @@ int PatchMatchMargin(int iterations) {
   return 2 * kSweepReach * iterations + kPatchRadius;
 }
 
-PatchMatchMemory PatchMatchBytesPerPixel(bool geometric) {
-  // Reference: planes 20, prior 4, padded grey 1, results 30 (without views, which are moved).
-  // Source: quads 4, inverse depths 4.
-  return geometric ? PatchMatchMemory{55, 8} : PatchMatchMemory{55, 4};
+PatchMatchMemory PatchMatchBytesPerPixel() {
+  // Reference: planes 20, prior 4, padded grey 1, assessment 10. Source: quads 4. At the end
+  // planes, assessment, depths and normals, 46, are less than this with two sources or more.
+  return {35, 4};
 }
 
 }  // namespace sirpy

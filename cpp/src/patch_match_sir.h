@@ -54,7 +54,8 @@ struct ViewWindow {
   int level = 0;        // a source that samples the surface finer is given at a coarser level
   Rectangle rectangle;  // pixels of the level
   const uint8_t* grey = nullptr;  // null: a source that sees nothing of this window
-  const float* depth = nullptr;   // of sources in a geometric pass; 0 where there is none
+  // Of sources in a geometric pass: 1 / depth, 0 where there is none.
+  const float* inverse_depth = nullptr;
 };
 
 // What is known of blocks of the reference before it is looked at: row-major, from the corner of
@@ -110,6 +111,6 @@ struct PatchMatchMemory {
   int per_reference_pixel;
   int per_source_pixel;
 };
-PatchMatchMemory PatchMatchBytesPerPixel(bool geometric);
+PatchMatchMemory PatchMatchBytesPerPixel();
 
 }  // namespace sirpy

@@ -144,7 +144,10 @@ class PatchMatchOptions:
         """ValueError names field, value and bound."""
 
 class ViewWindow:
-    """A window of a native image at a level (pixels of that level), its camera and its depths."""
+    """A window of a native image at a level (pixels of that level), its camera and its depths.
+
+    inverse_depth: of sources in a geometric pass, 0 where there is none.
+    """
 
     def __init__(
         self,
@@ -155,7 +158,7 @@ class ViewWindow:
         x0: int,
         y0: int,
         grey: NDArray[np.uint8],
-        depth: NDArray[np.float32] | None = None,
+        inverse_depth: NDArray[np.float32] | None = None,
     ) -> None: ...
 
 class StartMaps:
@@ -223,8 +226,8 @@ def patch_match_margin(iterations: int) -> int:
 def shrunk(grey: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     """The mean of each block of factor x factor pixels."""
 
-def patch_match_bytes_per_pixel(geometric: bool) -> tuple[int, int]:
-    """Of the reference window, and of each source window."""
+def patch_match_bytes_per_pixel() -> tuple[int, int]:
+    """Of the reference window, and of each source window, beside what is given."""
 
 def find_speckles(
     depth: NDArray[np.float32],

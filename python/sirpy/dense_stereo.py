@@ -241,7 +241,7 @@ class _Estimator:
         native: NativeImage,
         rectangle: Rectangle,
         level: int,
-        depth: npt.NDArray[np.float32] | None = None,
+        inverse_depth: npt.NDArray[np.float32] | None = None,
     ) -> _core.ViewWindow:
         camera = self._scene.cameras[native.name]
         return _core.ViewWindow(
@@ -251,7 +251,7 @@ class _Estimator:
             x0=rectangle.x0,
             y0=rectangle.y0,
             grey=read_grey(self._workspace, native, rectangle, level),
-            depth=depth,
+            inverse_depth=inverse_depth,
         )
 
     def _source(
@@ -267,10 +267,11 @@ class _Estimator:
         rectangle = at_level(window, level + source.level)
         if min(rectangle.width, rectangle.height) < _LEAST_SIDE:
             return None
-        depth = None
+        inverse = None
         if depths is not None:
-            depth = depths.read_coarser(native, rectangle, source.level)
-        return self._view(native, rectangle, level + source.level, depth)
+            inverse = depths.read_coarser(native, rectangle, source.level)
+            np.divide(1, inverse, out=inverse, where=inverse > 0)
+        return self._view(native, rectangle, level + source.level, inverse)
 
     def _core_options(self, of_pass: StereoPass, native: NativeImage) -> _core.PatchMatchOptions:
         core = _core.PatchMatchOptions()

@@ -291,6 +291,7 @@ def _predict(
     scene = selection.scene
     looked_at = list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
     units = [(native, sub) for native in looked_at for sub in native.sub_images]
+    chosen = units[:: -(-len(units) // most_sub_images)]
     # (pixels of the core, of the source windows, views) of each sub-image that is looked at.
     found = [
         (
@@ -298,7 +299,7 @@ def _predict(
             sum(source.window.area for source in views.sources),
             views,
         )
-        for native, sub in units[:: -(-len(units) // most_sub_images)]
+        for native, sub in chosen
         for views in [selection.sub_image(native.name, sub)]
     ]
     stored = [sub.stored for native in natives.values() for sub in native.sub_images]
@@ -316,10 +317,12 @@ def _predict(
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
     fuse = max(_FUSE_BYTES[0] * area + _FUSE_BYTES[1] * sources for area, sources, _ in found)
-    passes = [(views.window.area, sources) for _, sources, views in found]
-    passes += [selection.coarse_pixels(native.name) for native in looked_at]
-    stereo = max(_stereo_bytes(*pixels) for pixels in passes)
     stereo_bytes = _stereo_bytes_per_pixel()
+    stereo = max(
+        stereo_bytes[0] * reference + stereo_bytes[1] * sources
+        for native, sub in [*chosen, *((native, None) for native in looked_at)]
+        for reference, sources in [selection.pixels(native.name, sub)]
+    )
     cached = min(IMAGE_CACHE_BYTES, pixels)
     cores = os.cpu_count() or 1
     count, unit = len(stored), "sub-image"
@@ -364,23 +367,11 @@ def _predict(
     )
 
 
-def _stereo_bytes_per_pixel(geometric: bool = True) -> tuple[int, int]:
-    """Of the reference's window, and of each source's."""
-    # Beside the core's own: grey 1, depth 4, normal 12 read; grey 1, depth 4 of each source.
-    read = (17, 5) if geometric else (1, 1)
-    reference, source = _core.patch_match_bytes_per_pixel(geometric)
-    return reference + read[0], source + read[1]
-
-
-def _stereo_bytes(reference_pixels: int, source_pixels: int) -> int:
-    """Of a pass over so many pixels of a window and of its sources' windows, at the level of the pass.
-
-    The geometric pass, which holds the depths of the sources too, or the photometric one.
-    """
-    return max(
-        reference_pixels * reference + source_pixels * source
-        for reference, source in map(_stereo_bytes_per_pixel, (False, True))
-    )
+def _stereo_bytes_per_pixel() -> tuple[int, int]:
+    """Of the window that is estimated, and of each source's: of a geometric pass, which holds most."""
+    reference, source = _core.patch_match_bytes_per_pixel()
+    # Beside the core's own: grey 1, and of the pass before depth 4, normal 12, views 4; grey 1, inverse depth 4.
+    return reference + 21, source + 5
 
 
 def _bytes_on_disk(native: NativeImage) -> float:

@@ -82,18 +82,22 @@ class ViewSelection:
             covered=self._covered,
         )
 
-    def coarse_pixels(self, name: str) -> tuple[int, int]:
-        """Pixels of a whole photograph at the coarsest level, and of all windows of its sources there."""
-        camera, field = self.scene.cameras[name], self.field(name)
-        whole = Rectangle(0, 0, camera.width, camera.height)
-        windows = source_windows(
-            self.scene, field, whole, level=self.coarsest, covered=self._covered
-        )
+    def pixels(self, name: str, sub_image: SubImage | None) -> tuple[int, int]:
+        """Pixels that stereo estimates at once, with the halo, and those of all windows of their sources.
+
+        Of a sub-image at the native level, or of all that is cut of a native image at the coarsest
+        level; each pixel is one of the level at which it is read.
+        """
+        field, window = self.field(name), self._covered[name]
+        level = self.coarsest
+        if sub_image is not None:
+            window, level = sub_image.stored.padded(self._halo).intersection(window), 0
+        windows = source_windows(self.scene, field, window, level=level, covered=self._covered)
         sources = [
-            window.area >> 2 * (self.coarsest + field.sources[index].level)
-            for index, window in windows.items()
+            found.area >> 2 * (level + field.sources[index].level)
+            for index, found in windows.items()
         ]
-        return whole.area >> 2 * self.coarsest, sum(sources)
+        return window.area >> 2 * level, sum(sources)
 
 
 def coarsest_level(cameras: Iterable[NativeCamera]) -> int:

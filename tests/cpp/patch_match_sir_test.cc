@@ -269,7 +269,7 @@ TEST(PatchMatchSir, WhatNoSourceSeesHasNoDepth) {
 
 TEST(PatchMatchSir, ASourceThatIsNotGivenIsOneThatSeesNothing) {
   const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
-  const std::vector<float> depth(4, 10);
+  const std::vector<float> inverse_depth(4, 0.1f);
   for (bool geometric : {false, true}) {
     std::vector<ViewWindow> windows;
     for (const RenderedView& source : scene.sources) windows.push_back(source.Window(geometric));
@@ -281,7 +281,7 @@ TEST(PatchMatchSir, ASourceThatIsNotGivenIsOneThatSeesNothing) {
                           views.data()};
     // Two by two pixels in a corner, where no patch lies.
     windows[1].rectangle = {0, 0, 2, 2};
-    if (geometric) windows[1].depth = depth.data();
+    if (geometric) windows[1].inverse_depth = inverse_depth.data();
     const auto run = [&] {
       return PatchMatchSir(scene.reference.Window(), windows, scene.blocks.View(), {}, &start, {});
     };

@@ -212,8 +212,17 @@ def test_the_coarsest_level_has_two_megapixels_at_most(size: tuple[int, int], le
     assert coarsest_level([small, large]) == level
 
 
-def test_coarse_pixels_count_what_is_held_at_the_coarsest_level() -> None:
+def test_the_pixels_of_a_pass_are_those_of_its_level() -> None:
     selection = ViewSelection(SCENE, ALL, num_sources=8, halo=0)
-    reference, sources = selection.coarse_pixels("003.jpg")
+    reference, sources = selection.pixels("003.jpg", None)
     assert reference == 800 * 600 // 16
     assert 2 * reference < sources < 6 * reference
+    # At the native level all of the photograph is one sub-image, but a source may be read coarser.
+    (whole,) = Layout(Grid(1, 1)).native_image("003.jpg", (800, 600)).sub_images
+    native = selection.pixels("003.jpg", whole)
+    assert native[0] == 800 * 600
+    assert native[1] == pytest.approx(16 * sources, rel=0.2)
+    field = selection.field("003.jpg")
+    finer = tuple(replace(source, level=1) for source in field.sources)
+    selection._fields["003.jpg"] = replace(field, sources=finer)
+    assert selection.pixels("003.jpg", whole)[1] == pytest.approx(native[1] / 4, rel=0.1)

@@ -20,12 +20,12 @@ namespace {
 struct OwnedViewWindow {
   ViewWindow view;
   Array<uint8_t> grey;
-  std::optional<Array<float>> depth;
+  std::optional<Array<float>> inverse_depth;
 };
 
 OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& cam_from_world,
                                int level, int64_t x0, int64_t y0, Array<uint8_t> grey,
-                               std::optional<Array<float>> depth) {
+                               std::optional<Array<float>> inverse_depth) {
   CheckDimensions(grey, 2, "grey");
   OwnedViewWindow owned;
   owned.view.intrinsics = intrinsics;
@@ -34,15 +34,15 @@ OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& ca
   owned.view.level = level;
   owned.view.rectangle = {x0, y0, grey.shape(1), grey.shape(0)};
   owned.view.grey = grey.data();
-  if (depth) {
-    CheckDimensions(*depth, 2, "depth");
-    if (depth->shape(0) != grey.shape(0) || depth->shape(1) != grey.shape(1)) {
-      throw py::value_error("depth must have the size of grey");
+  if (inverse_depth) {
+    CheckDimensions(*inverse_depth, 2, "inverse_depth");
+    if (inverse_depth->shape(0) != grey.shape(0) || inverse_depth->shape(1) != grey.shape(1)) {
+      throw py::value_error("inverse_depth must have the size of grey");
     }
-    owned.view.depth = depth->data();
+    owned.view.inverse_depth = inverse_depth->data();
   }
   owned.grey = std::move(grey);
-  owned.depth = std::move(depth);
+  owned.inverse_depth = std::move(inverse_depth);
   return owned;
 }
 
@@ -228,7 +228,7 @@ void BindStereo(py::module_& module) {
   py::class_<OwnedViewWindow>(module, "ViewWindow")
       .def(py::init(&MakeViewWindow), py::kw_only(), py::arg("intrinsics"),
            py::arg("cam_from_world"), py::arg("level"), py::arg("x0"), py::arg("y0"),
-           py::arg("grey").noconvert(), py::arg("depth").noconvert() = py::none());
+           py::arg("grey").noconvert(), py::arg("inverse_depth").noconvert() = py::none());
   py::class_<OwnedStartMaps>(module, "StartMaps")
       .def(py::init(&MakeStartMaps), py::kw_only(), py::arg("level"), py::arg("x0"), py::arg("y0"),
            py::arg("depth").noconvert(), py::arg("normal").noconvert(),
@@ -255,8 +255,8 @@ void BindStereo(py::module_& module) {
                        {(height + factor - 1) / factor, (width + factor - 1) / factor});
       },
       py::arg("grey").noconvert(), py::arg("factor"));
-  module.def("patch_match_bytes_per_pixel", [](bool geometric) {
-    const PatchMatchMemory memory = PatchMatchBytesPerPixel(geometric);
+  module.def("patch_match_bytes_per_pixel", [] {
+    const PatchMatchMemory memory = PatchMatchBytesPerPixel();
     return py::make_tuple(memory.per_reference_pixel, memory.per_source_pixel);
   });
   module.def("find_speckles", &RunFindSpeckles, py::arg("depth").noconvert(),
