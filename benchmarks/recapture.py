@@ -64,22 +64,22 @@ def main() -> None:
     count, width, height = arguments.photographs, arguments.width, arguments.height
     work = arguments.work / f"{count}x{width}x{height}"
     if not (work / "sparse").exists():
-        _make(work, count, width, height)
+        make(work, count, width, height)
     found: dict[str, Any] = {"photographs": count, "grid": arguments.grid}
     found["megapixels_each"] = round(width * height / 1e6, 1)
-    found["sirpy"] = _measure(SIRPY, work, *arguments.grid.split("x"))
+    found["sirpy"] = measure(SIRPY, work, *arguments.grid.split("x"))
     if arguments.limits:
         command = [arguments.limits, work / "photos" / "0.jpg", work, str(QUALITY), CHROMA]
         found["limits_cpu_s_each"] = json.loads(subprocess.check_output(command, text=True))
     if not arguments.without_pycolmap:
-        found["pycolmap"] = _measure(PYCOLMAP, work)
+        found["pycolmap"] = measure(PYCOLMAP, work)
         for cost in ("cpu_s", "wall_s", "peak_mb"):
             ratio = found["pycolmap"][cost] / found["sirpy"][cost]
             found[f"{cost}_ratio"] = round(ratio, 1)
     print(json.dumps(found))
 
 
-def _measure(program: str, work: Path, *arguments: str) -> dict[str, float]:
+def measure(program: str, work: Path, *arguments: str) -> dict[str, float]:
     output = work / "out"
     shutil.rmtree(output, ignore_errors=True)
     output.mkdir()
@@ -100,7 +100,7 @@ def _measure(program: str, work: Path, *arguments: str) -> dict[str, float]:
     }
 
 
-def _make(work: Path, count: int, width: int, height: int) -> None:
+def make(work: Path, count: int, width: int, height: int) -> None:
     """Photographs of structure at all scales with some grain, and a model of them."""
     focal = 1.1 * width
     lens = [focal, focal, width / 2 + 10, height / 2 - 7, -0.05, 0.01, 1e-4, -1e-4]

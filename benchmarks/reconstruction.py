@@ -17,7 +17,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from sirpy.resources import Meter
+from metered import run_sirpy
+from sirpy.workspace import Workspace
+
+_NOT_DENSE = {"sparse", "cut"}
 
 
 def main() -> None:
@@ -30,46 +33,81 @@ def main() -> None:
     parser.add_argument("--judge", default="", help='command with "{cloud}", prints JSON')
     arguments = parser.parse_args()
     for grid in arguments.grids:
-        print(json.dumps(_measure(arguments, grid)), flush=True)
+        output = arguments.output / (grid or "chosen")
+        found = measured(
+            arguments.images, output, arguments.model, arguments.memory, grid, arguments.judge
+        )
+        print(json.dumps(found), flush=True)
 
 
-def _measure(arguments: argparse.Namespace, grid: str) -> dict[str, Any]:
-    output = arguments.output / (grid or "chosen")
-    command = [sys.executable, "-m", "sirpy", "reconstruct", str(arguments.images)]
-    command += ["--output", str(output), "--memory", arguments.memory]
-    if arguments.model:
-        command += ["--model", str(arguments.model)]
-    if grid:
-        columns, rows = grid.split("x")
-        command += ["--columns", columns, "--rows", rows]
-    with Meter() as meter:
-        status = subprocess.run(command, check=False).returncode
-    run = json.loads((output / "run.json").read_text(encoding="utf-8"))
+def measured(
+    images: Path, output: Path, model: Path | None, memory: str, grid: str, judge: str
+) -> dict[str, Any]:
+    """Reconstructs into `output`, which must not be there yet: what is reused costs nothing.
+
+    Args:
+        grid: 3x3; chosen for `memory` if empty.
+        judge: command with {cloud} whose last line is JSON; not judged if empty.
+    """
+    check_new(output)
+    words = ["reconstruct", images, "--output", output, "--memory", memory]
+    if model:
+        words += ["--model", model]
+    cost = run_sirpy(*words, *grid_words(grid))
+    workspace = Workspace(output)
+    if not workspace.run.exists():
+        sys.exit(f"sirpy reconstruct made nothing of {images}")
+    run = json.loads(workspace.run.read_text(encoding="utf-8"))
+    megapixels = sum(sub.core.area for _, sub in workspace.sub_images()) / 1e6
+    dense = sum(stage["cpu_s"] for stage in run["stages"] if stage["name"] not in _NOT_DENSE)
     return {
         "grid": run["grid"],
-        "status": status,
+        "memory": memory,
         "points": run["points"],
-        "wall_s": round(meter.wall_s, 1),
-        "cpu_s": round(meter.cpu_s, 1),
-        "peak_gb": round((meter.peak_bytes or 0) / 1e9, 3),
-        "stages": {
-            stage["name"]: {
-                "cpu_s": round(stage["cpu_s"], 1),
-                "peak_gb": round((stage["measured_peak"] or 0) / 1e9, 3),
-                "predicted_gb": round((stage["predicted_peak"] or 0) / 1e9, 3),
-            }
-            for stage in run["stages"]
-        },
-        "quality": _judge(arguments.judge, output / "fused.ply"),
+        **cost,
+        "megapixels": round(megapixels, 2),
+        "dense_cpu_s": round(dense, 1),
+        "dense_cpu_s_per_mp": round(dense / megapixels, 2),
+        "stages": {stage["name"]: _stage(stage) for stage in run["stages"]},
+        "quality": _judged(judge, workspace.fused),
     }
 
 
-def _judge(command: str, cloud: Path) -> Any:
+def grid_words(grid: str) -> list[str]:
+    """Options of `sirpy` for a grid such as 3x2, columns first."""
+    if not grid:
+        return []
+    columns, rows = grid.split("x")
+    return ["--columns", columns, "--rows", rows]
+
+
+def check_new(folder: Path) -> None:
+    """Ends the program if there is something under that name."""
+    if folder.exists():
+        sys.exit(f"{folder} is there already: choose another folder, or remove it")
+
+
+def _stage(stage: dict[str, Any]) -> dict[str, Any]:
+    measured, predicted = stage["measured_peak"], stage["predicted_peak"]
+    return {
+        "cpu_s": round(stage["cpu_s"], 1),
+        "wall_s": round(stage["wall_s"], 1),
+        "peak_gb": round((measured or 0) / 1e9, 3),
+        "predicted_gb": round((predicted or 0) / 1e9, 3),
+        "predicted_to_measured": round(predicted / measured, 3) if predicted and measured else None,
+    }
+
+
+def _judged(command: str, cloud: Path) -> Any:
     if not command:
         return None
     words = [word.replace("{cloud}", str(cloud)) for word in shlex.split(command)]
-    printed = subprocess.run(words, check=True, capture_output=True, text=True).stdout
-    return json.loads(printed.strip().splitlines()[-1])
+    judge = subprocess.run(words, check=False, stdout=subprocess.PIPE, text=True)
+    if judge.returncode != 0:
+        # The reconstruction may have taken hours: its costs are still printed.
+        print(f"the judge ended with status {judge.returncode}: {words}", file=sys.stderr)
+        return None
+    return json.loads(judge.stdout.strip().splitlines()[-1])
 
 
 if __name__ == "__main__":

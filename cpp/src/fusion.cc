@@ -85,9 +85,10 @@ std::optional<Agreement> Agree(const Camera& reference, const Camera& source, do
   const Eigen::Vector3d in_source = source.InCamera(world);
   if (in_source.z() <= 0) return std::nullopt;
   const Eigen::Vector2d at = (source.intrinsics * in_source).hnormalized();
-  // Bounds are tested in the precision that indices are computed in.
-  const float u = float(at.x() - double(source.window.x0));
-  const float v = float(at.y() - double(source.window.y0));
+  // Bounds are tested in the precision that indices are computed in. Rounded before the window's
+  // origin is taken off, which is exact: the window has no part in it.
+  const float u = float(at.x()) - float(source.window.x0);
+  const float v = float(at.y()) - float(source.window.y0);
   if (!(u >= 0 && v >= 0 && u < float(source.window.width - 1) &&
         v < float(source.window.height - 1))) {
     return std::nullopt;
@@ -118,10 +119,13 @@ struct Row {
   int64_t num_yielded = 0;
 };
 
-Row FuseRow(const Camera& reference, const float* normals, const std::vector<Camera>& sources,
+Row FuseRow(const Camera& reference, const float* normals,
+            const std::vector<std::optional<Camera>>& sources, const SourceBlocks& blocks,
             const FusionOptions& options, int64_t row) {
   Row fused;
   const int64_t width = reference.window.width, area = reference.window.Area();
+  const uint32_t* allowed_of_row =
+      blocks.allowed + (reference.window.y0 + row) / blocks.side * blocks.columns;
   for (int64_t column = 0; column < width; ++column) {
     const int64_t pixel = row * width + column;
     const float rho = reference.inverse_depth[size_t(pixel)];
@@ -136,7 +140,11 @@ Row FuseRow(const Camera& reference, const float* normals, const std::vector<Cam
     int num_consistent = 0;
     double sum_inverse_depth = 1 / depth;
     bool better_view = false;
-    for (const Camera& source : sources) {
+    const uint32_t allowed = allowed_of_row[(reference.window.x0 + column) / blocks.side];
+    const int needed = std::max(1, std::min(options.min_consistent, __builtin_popcount(allowed)));
+    for (uint32_t left = allowed; left != 0; left &= left - 1) {
+      if (!sources[__builtin_ctz(left)]) continue;
+      const Camera& source = *sources[__builtin_ctz(left)];
       const std::optional<Agreement> agreement = Agree(reference, source, x, y, world, plane);
       if (!agreement || agreement->shift >= options.consistency) continue;
       ++num_consistent;
@@ -146,12 +154,12 @@ Row FuseRow(const Camera& reference, const float* normals, const std::vector<Cam
                           source.Footprint(world, world_normal) <
                               options.yield_footprint * reference.Footprint(world, world_normal));
     }
-    if (num_consistent < options.min_consistent) {
+    if (num_consistent < needed) {
       ++fused.num_inconsistent;
       continue;
     }
     // One more than needed must agree before a pixel trusts another view to emit its point.
-    if (better_view && num_consistent > options.min_consistent && !options.keep_duplicates) {
+    if (better_view && num_consistent > needed && !options.keep_duplicates) {
       ++fused.num_yielded;
       continue;
     }
@@ -161,6 +169,22 @@ Row FuseRow(const Camera& reference, const float* normals, const std::vector<Cam
   }
   fused.points.shrink_to_fit();
   return fused;
+}
+
+void Check(const DepthView& reference, const std::vector<DepthView>& sources,
+           const SourceBlocks& blocks) {
+  const auto require = [](bool satisfied, const std::string& what) {
+    if (!satisfied) throw std::invalid_argument("Fuse: " + what);
+  };
+  const int64_t side = blocks.side;
+  require(side >= 1 && Rectangle{0, 0, side * blocks.columns, side * blocks.rows}.Contains(
+                           reference.rectangle),
+          "the blocks must cover the reference window");
+  uint32_t named = 0;
+  for (int i = 0; i < blocks.columns * blocks.rows; ++i) named |= blocks.allowed[i];
+  require(sources.size() <= 32 && uint64_t(named) >> sources.size() == 0,
+          "the blocks must allow sources 0 to " + std::to_string(sources.size()) +
+              ", 32 at most, and no others");
 }
 
 }  // namespace
@@ -174,18 +198,22 @@ void FusionOptions::Validate() const {
 }
 
 FusedPoints Fuse(const DepthView& reference, const float* normal,
-                 const std::vector<DepthView>& sources, const FusionOptions& options) {
+                 const std::vector<DepthView>& sources, const SourceBlocks& blocks,
+                 const FusionOptions& options) {
   options.Validate();
+  Check(reference, sources, blocks);
   const Camera reference_camera(reference);
-  std::vector<Camera> source_cameras;
-  for (const DepthView& source : sources) source_cameras.emplace_back(source);
+  std::vector<std::optional<Camera>> source_cameras;
+  for (const DepthView& source : sources) {
+    source_cameras.push_back(source.depth ? std::make_optional<Camera>(source) : std::nullopt);
+  }
 
   const int64_t height = reference.rectangle.height;
   std::vector<Row> rows(height);
   const int threads = options.threads > 0 ? options.threads : omp_get_num_procs();
 #pragma omp parallel for schedule(dynamic) num_threads(threads)
   for (int64_t y = 0; y < height; ++y) {
-    rows[size_t(y)] = FuseRow(reference_camera, normal, source_cameras, options, y);
+    rows[size_t(y)] = FuseRow(reference_camera, normal, source_cameras, blocks, options, y);
   }
 
   size_t count = 0;

@@ -20,7 +20,7 @@
 namespace sirpy {
 
 struct FusionOptions {
-  int min_consistent = 2;  // sources that must agree
+  int min_consistent = 2;  // sources that must agree; all where fewer are allowed
   double consistency = 1;  // pixels, forward-backward
   double yield_shift =
       0.5;  // pixels: a pixel leaves its point to a view that agrees better than this
@@ -41,7 +41,16 @@ struct DepthView {
   Eigen::Vector3d translation;
   Rectangle rectangle;
   int rank = 0;                  // of the native image: the lower emits
-  const float* depth = nullptr;  // 0 where there is none
+  const float* depth = nullptr;  // 0 where there is none; null: a source that nothing is needed of
+};
+
+// Which sources count in the blocks of the reference: row-major, from the corner of the native
+// image. A pixel never depends on what its window happens to hold.
+struct SourceBlocks {
+  int side = 0;  // native pixels
+  int columns = 0;
+  int rows = 0;
+  const uint32_t* allowed = nullptr;  // bit j: source j
 };
 
 // The points of a reference window, in row-major order of its pixels.
@@ -54,8 +63,10 @@ struct FusedPoints {
   int64_t num_yielded = 0;         // pixels whose point another view emits
 };
 
-// `normal`: 3 planes of the reference window, camera frame.
+// `normal`: 3 planes of the reference window, camera frame. At most 32 sources. Throws
+// std::invalid_argument.
 FusedPoints Fuse(const DepthView& reference, const float* normal,
-                 const std::vector<DepthView>& sources, const FusionOptions& options);
+                 const std::vector<DepthView>& sources, const SourceBlocks& blocks,
+                 const FusionOptions& options);
 
 }  // namespace sirpy

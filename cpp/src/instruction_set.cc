@@ -11,7 +11,7 @@ InstructionSet BestInstructionSet() {
   const char* asked = std::getenv("SIRPY_ISA");
   const auto wanted = [&](const char* name) { return !asked || std::strcmp(asked, name) == 0; };
 #ifdef SIRPY_X86
-  if (__builtin_cpu_supports("avx512f") && wanted("avx512")) return InstructionSet::kAvx512;
+  if (__builtin_cpu_supports("avx512bw") && wanted("avx512")) return InstructionSet::kAvx512;
   if (__builtin_cpu_supports("avx2") && wanted("avx2")) return InstructionSet::kAvx2;
 #endif
   if (wanted("baseline")) return InstructionSet::kBaseline;

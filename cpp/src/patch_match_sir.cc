@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 #include <Eigen/Geometry>
 #include <Eigen/LU>
@@ -17,18 +18,18 @@ namespace sirpy {
 
 using patch_match::Assessment;
 using patch_match::BestKernels;
-using patch_match::CoarserPlanes;
-using patch_match::GivenPlanes;
-using patch_match::GreyImage;
+using patch_match::Block;
 using patch_match::KernelOptions;
 using patch_match::Kernels;
 using patch_match::kMaxSources;
 using patch_match::kPatchRadius;
+using patch_match::kSweepReach;
 using patch_match::Level;
 using patch_match::PlaneArrays;
 using patch_match::Planes;
 using patch_match::PlaneSource;
 using patch_match::RandomPlanes;
+using patch_match::StartPlanes;
 
 namespace {
 
@@ -62,89 +63,87 @@ Eigen::Matrix3d LevelIntrinsics(const Eigen::Matrix3d& intrinsics, int level) {
 }
 
 // a = K_to R K_from^-1 and b = K_to t of the transform to_from_from.
-void SetWarp(const ViewWindow& from, const ViewWindow& to, int level, double* a, double* b) {
+void SetWarp(const ViewWindow& from, const ViewWindow& to, double* a, double* b) {
   const Eigen::Matrix3d rotation = to.rotation * from.rotation.transpose();
   const Eigen::Vector3d translation = to.translation - rotation * from.translation;
-  const Eigen::Matrix3d to_intrinsics = LevelIntrinsics(to.intrinsics, level);
+  const Eigen::Matrix3d to_intrinsics = LevelIntrinsics(to.intrinsics, to.level);
   Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(a, 3, 3) =
-      to_intrinsics * rotation * LevelIntrinsics(from.intrinsics, level).inverse();
+      to_intrinsics * rotation * LevelIntrinsics(from.intrinsics, from.level).inverse();
   Eigen::Map<Eigen::Vector3d>(b, 3) = to_intrinsics * translation;
 }
 
-// One level of the problem: the reference and source windows, packed for the kernels.
+// Of a source without pixels: what the kernels read for a patch outside.
+constexpr float kNoDepth[2] = {};
+
+// The problem packed for the kernels: a Level and what it points to.
 struct LevelData {
   Level level;
   std::vector<uint8_t> reference;
+  std::vector<Block> blocks;
   std::vector<std::vector<uint32_t>> quads;
-  std::vector<std::vector<float>> inverse_depths;
 };
 
-// Levels 1 and up of each window; empty in the geometric pass, which needs none.
-struct Pyramids {
-  std::vector<GreyImage> reference;
-  std::vector<std::vector<GreyImage>> sources;
-};
-
-struct LevelWindow {
-  const uint8_t* grey;
-  int width, height;
-};
-
-LevelWindow AtLevel(const ViewWindow& view, const std::vector<GreyImage>& pyramid, int level) {
-  if (level == 0) return {view.grey, int(view.rectangle.width), int(view.rectangle.height)};
-  const GreyImage& image = pyramid[level - 1];
-  return {image.pixels.data(), image.width, image.height};
+std::vector<Block> MakeBlocks(const ViewBlocks& blocks, size_t num_sources) {
+  const auto sources = uint32_t((uint64_t(1) << num_sources) - 1);
+  std::vector<Block> packed(size_t(blocks.columns) * blocks.rows);
+  for (size_t i = 0; i < packed.size(); ++i) {
+    if (!(blocks.min_depth[i] > 0)) continue;  // nothing is known: no plane is possible
+    packed[i] = {blocks.allowed[i] & sources, 1 / blocks.max_depth[i], 1 / blocks.min_depth[i]};
+  }
+  return packed;
 }
 
 LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
-                    const Pyramids& pyramids, const PatchMatchOptions& options, int number) {
+                    const ViewBlocks& blocks, const PatchMatchOptions& options) {
   LevelData data;
   Level& level = data.level;
-  const LevelWindow window = AtLevel(reference, pyramids.reference, number);
-  data.reference = patch_match::Padded(window.grey, window.width, window.height, kPatchRadius);
+  level.width = int(reference.rectangle.width);
+  level.height = int(reference.rectangle.height);
+  data.reference = patch_match::Padded(reference.grey, level.width, level.height, kPatchRadius);
   level.grey = data.reference.data();
-  level.width = window.width;
-  level.height = window.height;
-  level.x0 = int(reference.rectangle.x0 >> number);
-  level.y0 = int(reference.rectangle.y0 >> number);
-  const Eigen::Matrix3d intrinsics = LevelIntrinsics(reference.intrinsics, number);
+  level.x0 = int(reference.rectangle.x0);
+  level.y0 = int(reference.rectangle.y0);
+  const Eigen::Matrix3d intrinsics = LevelIntrinsics(reference.intrinsics, reference.level);
   level.fx = float(intrinsics(0, 0));
   level.fy = float(intrinsics(1, 1));
   level.cx = float(intrinsics(0, 2));
   level.cy = float(intrinsics(1, 2));
-  level.min_inverse_depth = float(1 / options.max_depth);
-  level.max_inverse_depth = float(1 / options.min_depth);
+  data.blocks = MakeBlocks(blocks, sources.size());
+  level.blocks = data.blocks.data();
+  level.block_side = blocks.side >> reference.level;
+  level.block_columns = blocks.columns;
   level.seed = options.seed;
-  level.level = number;
-  level.offers = number == 0 ? options.native_offers : 8;
+  level.offers = options.offers;
+  level.largest_step = float(options.largest_step);
+  level.select_views = options.select_views;
+  level.all_sources = options.all_sources;
   level.num_sources = int(sources.size());
   data.quads.resize(sources.size());
-  data.inverse_depths.resize(sources.size());
+  const bool geometric = std::any_of(sources.begin(), sources.end(), [](const ViewWindow& view) {
+    return view.inverse_depth != nullptr;
+  });
   // Allocated here: running out of memory inside a parallel region would end the process.
   for (size_t j = 0; j < sources.size(); ++j) {
-    const LevelWindow pixels = AtLevel(sources[j], pyramids.sources[j], number);
-    data.quads[j].resize(size_t(pixels.width) * pixels.height);
-    if (sources[j].depth) data.inverse_depths[j].resize(data.quads[j].size());
+    if (sources[j].grey) data.quads[j].resize(size_t(sources[j].rectangle.Area()));
   }
 #pragma omp parallel for schedule(dynamic)
   for (size_t j = 0; j < sources.size(); ++j) {
     const ViewWindow& view = sources[j];
     patch_match::SourceLevel& source = level.sources[j];
-    const LevelWindow pixels = AtLevel(view, pyramids.sources[j], number);
-    patch_match::PackQuads(pixels.grey, pixels.width, pixels.height, data.quads[j].data());
-    source.quads = data.quads[j].data();
-    source.width = pixels.width;
-    source.height = pixels.height;
-    source.x0 = float(view.rectangle.x0 >> number);
-    source.y0 = float(view.rectangle.y0 >> number);
-    SetWarp(reference, view, number, source.a, source.b);
-    SetWarp(view, reference, number, source.back_a, source.back_b);
-    if (!view.depth) continue;
-    std::vector<float>& inverse = data.inverse_depths[j];
-    for (size_t i = 0; i < inverse.size(); ++i) {
-      inverse[i] = view.depth[i] > 0 ? 1 / view.depth[i] : 0;
+    if (!view.grey) {
+      // Like a window that holds no patch: whether it is given must change nothing.
+      if (geometric) source.inverse_depth = kNoDepth;
+      continue;
     }
-    source.inverse_depth = inverse.data();
+    source.width = int(view.rectangle.width);
+    source.height = int(view.rectangle.height);
+    patch_match::PackQuads(view.grey, source.width, source.height, data.quads[j].data());
+    source.quads = data.quads[j].data();
+    source.x0 = float(view.rectangle.x0);
+    source.y0 = float(view.rectangle.y0);
+    SetWarp(reference, view, source.a, source.b);
+    SetWarp(view, reference, source.back_a, source.back_b);
+    source.inverse_depth = view.inverse_depth;
   }
   return data;
 }
@@ -157,15 +156,19 @@ PlaneArrays Initialise(const Level& level, const KernelOptions& options,
   const Kernels& kernels = BestKernels();
 #pragma omp parallel
   {
-    std::vector<float> row(3 * size_t(level.width));
-    const Planes candidates{row.data(), row.data() + level.width, row.data() + 2 * level.width,
-                            nullptr, nullptr};
+    const int count = source.num_candidates();
+    std::vector<float> rows(3 * size_t(level.width) * count);
+    std::vector<uint32_t> views(size_t(level.width) * count);
+    std::vector<Planes> candidates;
+    for (int i = 0; i < count; ++i) {
+      float* row = rows.data() + 3 * size_t(level.width) * i;
+      candidates.push_back({row, row + level.width, row + 2 * level.width, nullptr,
+                            views.data() + size_t(level.width) * i});
+    }
 #pragma omp for schedule(dynamic)
     for (int y = 0; y < level.height; ++y) {
-      for (int i = 0; i < source.num_candidates(); ++i) {
-        source.FillRow(y, i, candidates);
-        kernels.evaluate_row(level, options, candidates, &planes, y);
-      }
+      for (int i = 0; i < count; ++i) source.FillRow(y, i, candidates[i]);
+      kernels.evaluate_row(level, options, candidates.data(), count, &planes, y);
     }
   }
   return arrays;
@@ -190,17 +193,19 @@ std::vector<float> Prior(const Level& level, const PlaneSource& source) {
 #pragma omp parallel
   {
     std::vector<float> slopes(2 * size_t(level.width));
+    std::vector<uint32_t> views(level.width);
 #pragma omp for
     for (int y = 0; y < level.height; ++y) {
       source.FillRow(y, 0,
                      {prior.data() + size_t(y) * level.width, slopes.data(),
-                      slopes.data() + level.width, nullptr, nullptr});
+                      slopes.data() + level.width, nullptr, views.data()});
     }
   }
   return prior;
 }
 
-PatchMatchResult Finish(const Level& level, const KernelOptions& options, PlaneArrays* arrays) {
+// Refines the planes; of the result all but what follows from them alone.
+PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneArrays* arrays) {
   Planes planes = arrays->View();
   const Kernels& kernels = BestKernels();
   const size_t size = arrays->rho.size();
@@ -208,13 +213,21 @@ PatchMatchResult Finish(const Level& level, const KernelOptions& options, PlaneA
   result.cost.resize(size);
   result.num_seeing.resize(size);
   result.num_consistent.resize(size);
-  Assessment assessment{result.cost.data(), result.num_seeing.data(), result.num_consistent.data()};
-#pragma omp parallel for schedule(dynamic)
-  for (int y = 0; y < level.height; ++y) kernels.refine_row(level, options, &planes, y);
+  result.texture.resize(size);
+  Assessment assessment{result.cost.data(), result.texture.data(), result.num_seeing.data(),
+                        result.num_consistent.data()};
 #pragma omp parallel for schedule(dynamic)
   for (int y = 0; y < level.height; ++y) {
-    kernels.assess_row(level, options, planes, &assessment, y);
+    kernels.finish_row(level, options, &planes, &assessment, y);
   }
+  return result;
+}
+
+// Of `level` only the camera and the window are read.
+void SetDepths(const Level& level, PlaneArrays* arrays, PatchMatchResult* into) {
+  const Planes planes = arrays->View();
+  const size_t size = arrays->rho.size();
+  PatchMatchResult& result = *into;
   result.depth.resize(size);
   result.normal.resize(3 * size);
 #pragma omp parallel for
@@ -231,7 +244,7 @@ PatchMatchResult Finish(const Level& level, const KernelOptions& options, PlaneA
       for (int i = 0; i < 3; ++i) result.normal[at + i * size] = normal[i];
     }
   }
-  return result;
+  result.views = std::move(arrays->views);
 }
 
 // The number of threads inside its scope; the caller's is restored.
@@ -248,69 +261,48 @@ class ThreadCount {
   int before_;
 };
 
-int Iterations(const PatchMatchOptions& options, int level) {
-  if (level == 0) return options.native_iterations;
-  return level == options.levels - 1 ? options.coarsest_iterations : options.middle_iterations;
-}
-
-PatchMatchResult PhotometricPass(const ViewWindow& reference,
-                                 const std::vector<ViewWindow>& sources,
-                                 const std::vector<SparsePoint>& points,
-                                 const PatchMatchOptions& options) {
-  const KernelOptions kernel = MakeKernelOptions(options);
-  Pyramids pyramids;
-  const auto pyramid = [&](const ViewWindow& view) {
-    return patch_match::Pyramid(view.grey, int(view.rectangle.width), int(view.rectangle.height),
-                                options.levels);
+void Check(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
+           const ViewBlocks& blocks, const StartMaps* start) {
+  const auto require = [](bool satisfied, const std::string& what) {
+    if (!satisfied) throw std::invalid_argument("PatchMatchSir: " + what);
   };
-  pyramids.reference = pyramid(reference);
-  for (const ViewWindow& source : sources) pyramids.sources.push_back(pyramid(source));
-
-  PlaneArrays planes;
-  for (int number = options.levels - 1;; --number) {
-    LevelData data = MakeLevel(reference, sources, pyramids, options, number);
-    Level& level = data.level;
-    level.coarsest = number == options.levels - 1;
-    std::vector<float> prior;
-    if (level.coarsest) {
-      planes = Initialise(level, kernel, RandomPlanes(level, points));
-    } else {
-      const CoarserPlanes coarser(level, planes);
-      prior = Prior(level, coarser);
-      level.prior = prior.data();
-      planes = Initialise(level, kernel, coarser);
-    }
-    Sweep(level, kernel, Iterations(options, number), &planes);
-    if (number == 0) return Finish(level, kernel, &planes);
+  require(!sources.empty() && sources.size() <= kMaxSources,
+          "needs 1 to 32 sources, not " + std::to_string(sources.size()));
+  const auto check = [&](const ViewWindow& view, int least) {
+    const Rectangle& window = view.rectangle;
+    require(view.level >= 0 && view.level <= 16, "a level must be in [0, 16]");
+    require(window.width >= least && window.height >= least,
+            "a window must be " + std::to_string(least) + " pixels wide and high, or more");
+    require(window.width <= std::numeric_limits<int32_t>::max() / window.height,
+            "a window must have fewer than 2^31 pixels");
+    const Eigen::Matrix3d& k = view.intrinsics;
+    require(k(0, 0) > 0 && k(1, 1) > 0 && k(2, 2) == 1 && k(0, 1) == 0 && k.allFinite() &&
+                view.rotation.allFinite() && view.translation.allFinite(),
+            "a camera must be a finite pinhole without skew");
+  };
+  check(reference, 1);
+  for (const ViewWindow& source : sources) {
+    if (source.grey) check(source, 2);
   }
-}
-
-PatchMatchResult GeometricPass(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
-                               const PatchMatchOptions& options) {
-  const KernelOptions kernel = MakeKernelOptions(options);
-  Pyramids none;
-  none.sources.resize(sources.size());
-  LevelData data = MakeLevel(reference, sources, none, options, 0);
-  const GivenPlanes given(data.level, reference.depth, reference.normal);
-  const std::vector<float> prior = Prior(data.level, given);
-  data.level.prior = prior.data();
-  PlaneArrays planes = Initialise(data.level, kernel, given);
-  Sweep(data.level, kernel, options.geometric_iterations, &planes);
-  return Finish(data.level, kernel, &planes);
+  const int64_t side = blocks.side >> reference.level;
+  require(side >= 1 && side << reference.level == blocks.side,
+          "the side of a block must be a multiple of the level's pixel");
+  const Rectangle covered{0, 0, side * blocks.columns, side * blocks.rows};
+  require(covered.Contains(reference.rectangle), "the blocks must cover the reference window");
+  if (start) {
+    require(start->level == reference.level || start->level == reference.level + 1,
+            "the start must be at the level of the reference or one coarser");
+    require(start->rectangle.Area() > 0, "the start has no pixels");
+  }
 }
 
 }  // namespace
 
 void PatchMatchOptions::Validate() const {
-  Require(min_depth > 0, "min_depth", min_depth, "> 0");
-  Require(max_depth > min_depth, "max_depth", max_depth, "> min_depth");
-  Require(levels >= 1 && levels <= 6, "levels", levels, "in [1, 6]");
-  Require(coarsest_iterations >= 1, "coarsest_iterations", coarsest_iterations, ">= 1");
-  Require(middle_iterations >= 1, "middle_iterations", middle_iterations, ">= 1");
-  Require(native_iterations >= 1, "native_iterations", native_iterations, ">= 1");
-  Require(geometric_iterations >= 1, "geometric_iterations", geometric_iterations, ">= 1");
-  Require(native_offers >= 1 && native_offers <= 8, "native_offers", native_offers, "in [1, 8]");
-  Require(top_views >= 1 && top_views <= kMaxSources, "top_views", top_views, "in [1, 16]");
+  Require(iterations >= 1, "iterations", iterations, ">= 1");
+  Require(offers >= 1 && offers <= 8, "offers", offers, "in [1, 8]");
+  Require(largest_step > 0.1, "largest_step", largest_step, "> 0.1");
+  Require(top_views >= 1 && top_views <= kMaxSources, "top_views", top_views, "in [1, 32]");
   Require(color_sigma > 0, "color_sigma", color_sigma, "> 0");
   Require(space_sigma > 0, "space_sigma", space_sigma, "> 0");
   Require(geometric_weight >= 0, "geometric_weight", geometric_weight, ">= 0");
@@ -324,48 +316,44 @@ void PatchMatchOptions::Validate() const {
 }
 
 PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
-                               const std::vector<SparsePoint>& points,
-                               const PatchMatchOptions& options) {
+                               const ViewBlocks& blocks, const std::vector<SparsePoint>& points,
+                               const StartMaps* start, const PatchMatchOptions& options) {
   options.Validate();
-  if (sources.empty() || sources.size() > kMaxSources) {
-    throw std::invalid_argument("PatchMatchSir needs 1 to 16 sources, not " +
-                                std::to_string(sources.size()));
-  }
-  const bool geometric = sources.front().depth != nullptr;
-  const int64_t step = int64_t(1) << (options.levels - 1);
-  const auto check = [&](const ViewWindow& view) {
-    if (view.rectangle.width < 2 || view.rectangle.height < 2 || view.rectangle.x0 % step ||
-        view.rectangle.y0 % step) {
-      throw std::invalid_argument(
-          "a window must be 2x2 pixels or more and start at a multiple of " + std::to_string(step) +
-          " pixels");
-    }
-    if (view.rectangle.width > std::numeric_limits<int32_t>::max() / view.rectangle.height) {
-      throw std::invalid_argument("a window must have fewer than 2^31 pixels");
-    }
-    const Eigen::Matrix3d& k = view.intrinsics;
-    if (!(k(0, 0) > 0 && k(1, 1) > 0 && k(2, 2) == 1 && k(0, 1) == 0 && k.allFinite() &&
-          view.rotation.allFinite() && view.translation.allFinite())) {
-      throw std::invalid_argument("a camera must be a finite pinhole without skew");
-    }
-    if ((view.depth != nullptr) != geometric) {
-      throw std::invalid_argument("either all windows have depths or none has");
-    }
-  };
-  check(reference);
-  for (const ViewWindow& source : sources) check(source);
-  if (geometric && !reference.normal) {
-    throw std::invalid_argument("the geometric pass needs the reference's normals");
-  }
+  Check(reference, sources, blocks, start);
   const ThreadCount threads(options.threads);
-  return geometric ? GeometricPass(reference, sources, options)
-                   : PhotometricPass(reference, sources, points, options);
+  const KernelOptions kernel = MakeKernelOptions(options);
+  LevelData data = MakeLevel(reference, sources, blocks, options);
+  PlaneArrays planes;
+  std::vector<float> prior;
+  if (start) {
+    const StartPlanes before(data.level, *start, start->level > reference.level);
+    prior = Prior(data.level, before);
+    data.level.prior = prior.data();
+    planes = Initialise(data.level, kernel, before);
+  } else {
+    data.level.everywhere = true;
+    planes = Initialise(data.level, kernel,
+                        RandomPlanes(data.level, points, 1.0 / (1 << reference.level)));
+  }
+  Sweep(data.level, kernel, options.iterations, &planes);
+  PatchMatchResult result = Assess(data.level, kernel, &planes);
+  // The pixels are not needed any more, and the largest maps are still to come.
+  const Level level = data.level;
+  data = LevelData();
+  prior = std::vector<float>();
+  SetDepths(level, &planes, &result);
+  return result;
 }
 
-PatchMatchMemory PatchMatchBytesPerPixel(bool geometric) {
-  // Reference: planes 18, prior 4, padded grey 1, results 22; photometric: a pyramid of 1/3.
-  // Source: quads 4, and a pyramid of 1/3 or inverse depths of 4.
-  return geometric ? PatchMatchMemory{45, 8} : PatchMatchMemory{46, 5};
+int PatchMatchMargin(int iterations) {
+  // Two half sweeps each; a plane is judged by its patch.
+  return 2 * kSweepReach * iterations + kPatchRadius;
+}
+
+PatchMatchMemory PatchMatchBytesPerPixel() {
+  // Reference: planes 20, prior 4, padded grey 1, assessment 10. Source: quads 4. At the end
+  // planes, assessment, depths and normals, 46, are less than this with two sources or more.
+  return {35, 4};
 }
 
 }  // namespace sirpy

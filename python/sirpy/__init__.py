@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from sirpy.cutting import cut
     from sirpy.dense_stereo import StereoOptions, stereo
     from sirpy.errors import SirpyError
+    from sirpy.explaining import explain
     from sirpy.exporting import export
     from sirpy.fusion import FusionOptions, fuse
     from sirpy.html_report import report
@@ -52,6 +53,7 @@ _HOME = {
     "Workspace": "workspace",
     "clusters": "clustering",
     "cut": "cutting",
+    "explain": "explaining",
     "export": "exporting",
     "fuse": "fusion",
     "plan": "planning",
@@ -79,6 +81,7 @@ __all__ = [
     "Workspace",
     "clusters",
     "cut",
+    "explain",
     "export",
     "fuse",
     "plan",

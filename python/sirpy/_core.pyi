@@ -125,14 +125,11 @@ def sub_image_model(
 class PatchMatchOptions:
     """Units and bounds: cpp/src/patch_match_sir.h."""
 
-    min_depth: float
-    max_depth: float
-    levels: int
-    coarsest_iterations: int
-    middle_iterations: int
-    native_iterations: int
-    geometric_iterations: int
-    native_offers: int
+    iterations: int
+    offers: int
+    all_sources: bool
+    select_views: bool
+    largest_step: float
     top_views: int
     color_sigma: float
     space_sigma: float
@@ -147,36 +144,112 @@ class PatchMatchOptions:
         """ValueError names field, value and bound."""
 
 class ViewWindow:
-    """A window of a native image, its camera and what is known of its depth."""
+    """A window of a native image at a level (pixels of that level), its camera and its depths.
+
+    inverse_depth: of sources in a geometric pass, 0 where there is none.
+    """
 
     def __init__(
         self,
         *,
         intrinsics: NDArray[np.float64],
         cam_from_world: NDArray[np.float64],
+        level: int,
         x0: int,
         y0: int,
         grey: NDArray[np.uint8],
-        depth: NDArray[np.float32] | None = None,
-        normal: NDArray[np.float32] | None = None,
+        inverse_depth: NDArray[np.float32] | None = None,
+    ) -> None: ...
+
+class StartMaps:
+    """What the pass before found: depth, normal (3 planes), views (bits of sources)."""
+
+    def __init__(
+        self,
+        *,
+        level: int,
+        x0: int,
+        y0: int,
+        depth: NDArray[np.float32],
+        normal: NDArray[np.float32],
+        views: NDArray[np.uint32],
     ) -> None: ...
 
 def patch_match(
+    *,
     reference: ViewWindow,
-    sources: Sequence[ViewWindow],
+    sources: Sequence[ViewWindow | None],
+    block_side: int,
+    allowed: NDArray[np.uint32],
+    min_depth: NDArray[np.float32],
+    max_depth: NDArray[np.float32],
     points: NDArray[np.float64],
+    start: StartMaps | None,
     options: PatchMatchOptions,
-) -> tuple[
-    NDArray[np.float32],
-    NDArray[np.float32],
-    NDArray[np.float32],
-    NDArray[np.uint8],
-    NDArray[np.uint8],
-]:
-    """(depth, normal, cost, sources that see, sources that agree); points: n x (x, y, depth)."""
+) -> dict[str, NDArray[Any]]:
+    """depth, normal, views, cost, texture, num_seeing, num_consistent of the reference window;
+    points: n x (x, y, depth)."""
 
-def patch_match_bytes_per_pixel(geometric: bool) -> tuple[int, int]:
-    """Of the reference window, and of each source window."""
+class PlanarCompletionOptions:
+    """Units and bounds: cpp/src/patch_match/planar_completion.h."""
+
+    grey_step: float
+    weak_texture: float
+    min_consistent: int
+    tolerance: float
+    min_share: float
+    min_samples: int
+    max_error: float
+    threads: int
+
+def complete_planes(
+    *,
+    level: int,
+    x0: int,
+    y0: int,
+    intrinsics: NDArray[np.float64],
+    grey: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    views: NDArray[np.uint32],
+    texture: NDArray[np.float32],
+    num_consistent: NDArray[np.uint8],
+    source_centres: NDArray[np.float64],
+    options: PlanarCompletionOptions,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
+    """depth, normal and 1 where they are those of a plane around; source_centres: n x 3, in the
+    camera frame."""
+
+def patch_match_margin(iterations: int) -> int:
+    """Pixels of the level around a pixel that its result depends on."""
+
+def shrunk(grey: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """The mean of each block of factor x factor pixels."""
+
+def patch_match_bytes_per_pixel() -> tuple[int, int]:
+    """Of the reference window, and of each source window, beside what is given."""
+
+def find_speckles(
+    depth: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    *,
+    intrinsics: NDArray[np.float64],
+    x0: int,
+    y0: int,
+    step: float,
+    min_pixels: int,
+) -> NDArray[np.uint8]:
+    """1 for each pixel of a speckle, (height, width); normal: 3 planes; step: pixels' worth of depth."""
+
+def coplanar_shares(
+    depth: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    *,
+    intrinsics: NDArray[np.float64],
+    x0: int,
+    y0: int,
+) -> NDArray[np.float32]:
+    """Share of the pixels around each that lie on its plane, (height, width); normal: 3 planes."""
 
 def instruction_set() -> str: ...
 
@@ -212,7 +285,10 @@ class DepthView:
 def fuse(
     reference: DepthView,
     normal: NDArray[np.float32],
-    sources: Sequence[DepthView],
+    sources: Sequence[DepthView | None],
+    *,
+    block_side: int,
+    allowed: NDArray[np.uint32],
     options: FusionOptions,
 ) -> tuple[
     NDArray[np.float64], NDArray[np.float32], NDArray[np.int64], NDArray[np.uint8], int, int

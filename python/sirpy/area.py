@@ -20,7 +20,7 @@ from sirpy.errors import InputError
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import Floats, NativeCamera, NativeScene
 from sirpy.rectangle import Rectangle
-from sirpy.view_selection import observations_around
+from sirpy.view_fields import observations_around
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -139,7 +139,7 @@ class AreaFilter:
         inside = (x >= core.x0) & (x < core.x1) & (y >= core.y0) & (y < core.y1)
         if self._inside[seen.point[inside]].any():
             return True
-        near = observations_around(self._scene, native, core)
+        near = observations_around(self._scene, native.name, core)
         if len(near) < _FEWEST_HEIGHTS:
             away = np.linalg.norm(self._scene.points - camera.centre, axis=1)
             heights = _height_range(self._scene.points[:, 2], 0.0)

@@ -333,17 +333,30 @@ def stereo(
     workspace: WorkspaceFolder,
     max_cost: Annotated[float, typer.Option(help="1 - NCC above which there is no depth.")] = 0.6,
     min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
+    explain: Annotated[
+        str | None,
+        typer.Option(help="Estimate nothing: draw what was found in this (sub-)image, and why."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="PNG of --explain; in the workspace.")
+    ] = None,
     threads: Threads = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Depth and normal maps of all sub-images that have none yet."""
+    """Depth and normal maps of all sub-images that have none yet; or a picture of them."""
     from sirpy.dense_stereo import StereoOptions
     from sirpy.dense_stereo import stereo as run
+    from sirpy.explaining import explain as draw
     from sirpy.progress import make_progress
     from sirpy.workspace import Workspace
 
-    options = StereoOptions(max_cost=max_cost, min_consistent=min_consistent, threads=threads)
     folder = Workspace(workspace)
+    if explain is not None:
+        print(f"picture: {draw(folder, explain, output)}")
+        return
+    if output is not None:
+        raise InputError("--output belongs to --explain: the maps are written into the workspace")
+    options = StereoOptions(max_cost=max_cost, min_consistent=min_consistent, threads=threads)
     run(folder, options=options, progress=make_progress(quiet))
     print(f"maps: {folder.stereo}")
 

@@ -18,7 +18,7 @@ from sirpy.engine_views import EngineView, engine_views
 from sirpy.files import fingerprint, write_text
 from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
-from sirpy.view_selection import points_seen
+from sirpy.view_fields import points_seen
 from sirpy.workspace import MapFolder, Pass, Workspace
 
 _SCRIPT = """\

@@ -1,87 +1,82 @@
 """Stereo: a depth and a normal for every pixel of every sub-image.
 
-Two passes of PatchMatch (cpp/src/patch_match_sir.h): the photometric pass of all sub-images, then the geometric
-pass, in which the photometric depths of the sources have their say. A sub-image is matched with a halo, against
-windows of native images assembled across the borders of the grid, so a border costs nothing.
+Passes of PatchMatch (cpp/src/patch_match_sir.h) from coarse to native: whole photographs decimated, then sub-images
+at finer and finer levels, each pass from the planes of the one before; in the geometric passes the depths that the
+sources have found have their say. A sub-image is matched with a halo, against windows of native images assembled
+across the borders of the grid, and all that is given is a field over the native image, so a border costs nothing.
 
-Each sub-image is one unit of work: it reads files, writes files, and knows of no other.
+Each unit of a pass reads files, writes files, and knows of no other.
 """
 
 from __future__ import annotations
 
+import shutil
 import zlib
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
-from enum import IntFlag
-from typing import Literal
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
-from sirpy.errors import InputError
 from sirpy.files import fingerprint
+from sirpy.filtering import Estimate, FilterOptions, Reason, check_bounds, filter_depths
 from sirpy.native_images import NativeImage, SubImage
-from sirpy.native_scene import NativeScene, read_native_scene
+from sirpy.native_scene import read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
-from sirpy.view_selection import SubImageViews, read_views
-from sirpy.windows import read_map, read_map_window, read_mask_window, read_window, write_map
-from sirpy.workspace import Pass, Workspace
+from sirpy.stereo_passes import (
+    PassMaps,
+    StereoPass,
+    Unit,
+    at_level,
+    native_pixels,
+    nothing_found,
+    read_grey,
+    units,
+    write_planes,
+)
+from sirpy.view_fields import FieldSource
+from sirpy.view_selection import Views, read_views
+from sirpy.view_windows import source_windows
+from sirpy.windows import read_map, read_mask_window, write_map
+from sirpy.workspace import Workspace
 
-FloatMap = npt.NDArray[np.float32]
-ByteMap = npt.NDArray[np.uint8]
-
-
-class Reason(IntFlag):
-    """Why a pixel has no depth; one bit each, 0 for a pixel that has one."""
-
-    NOT_SEEN = 1  # no source window holds its patch
-    HIGH_COST = 2  # it looks different in the sources, and too few of them agree all the same
-    INCONSISTENT = 4  # too few sources measured the same depth
-    NO_SOURCES = 8  # the whole sub-image shares too few sparse points with other photographs
-    MASKED = 16  # the photograph's mask is black there
+_LEAST_SIDE = 2  # pixels of a source's window: what is narrower holds no patch
 
 
 @dataclass(frozen=True)
-class StereoOptions:
+class StereoOptions(FilterOptions):
     """Options of `stereo`; those of the estimator carry the names and defaults of the C++ core."""
 
-    max_cost: float = 0.6  # 1 - NCC: pixels above need more sources that agree
-    min_consistent: int = 2  # sources whose depth must agree
-    costly_consistent: int = (
-        5  # the same for pixels above max_cost: noise decides there, not texture
-    )
     top_views: int = 4  # sources that a pixel is matched against, at most
-    native_iterations: int = 1  # sweeps at native resolution, photometric pass
-    geometric_iterations: int = 2  # sweeps of the geometric pass
+    native_iterations: int = 3  # sweeps at native resolution, photometric pass
+    geometric_iterations: int = 1  # sweeps of the geometric pass there
     seed: int = 0
     threads: int = 0  # 0: one for each core
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         bounds = {
-            "max_cost": (0, 2),
-            "min_consistent": (0, 16),
-            "costly_consistent": (0, 17),
-            "top_views": (1, 16),
+            "top_views": (1, 32),
             "native_iterations": (1, 100),
             "geometric_iterations": (1, 100),
             "threads": (0, 1024),
         }
-        for name, (low, high) in bounds.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                option = name.replace("_", "-")
-                raise InputError(f"--{option} {value} is not possible: choose {low} to {high}")
+        check_bounds(self, bounds)
 
 
-@dataclass(frozen=True)
-class DepthMap:
-    """Maps of a sub-image (height x width): depth, normal (3 planes), reason why there is none."""
-
-    depth: FloatMap
-    normal: FloatMap
-    reason: ByteMap
+def passes(coarsest: int, options: StereoOptions) -> list[StereoPass]:
+    """Coarse to native. What the whole photograph tells is made sure of by its sources at once; the
+    levels between halve the pixel."""
+    return [
+        StereoPass(coarsest, "photometric", 4, largest_step=8),
+        StereoPass(coarsest, "geometric", 2, complete=True),
+        *(StereoPass(level, "photometric", 2) for level in range(coarsest - 1, 0, -1)),
+        StereoPass(0, "photometric", options.native_iterations, offers=5),
+        StereoPass(0, "geometric", options.geometric_iterations, offers=5),
+    ]
 
 
 def stereo(
@@ -92,8 +87,9 @@ def stereo(
 ) -> None:
     """Estimates the maps of all sub-images that are not there yet; writes them in COLMAP's format.
 
-    stereo/depth_maps, normal_maps: NAME.photometric.bin and NAME.geometric.bin; stereo/reason_maps: NAME.bin
-    (`Reason`). Needs `views`.
+    stereo/depth_maps, normal_maps: NAME.geometric.bin; stereo/reason_maps (`Reason`) and
+    confidence_maps: NAME.bin. The maps of the passes before lie in stereo/passes while they are
+    needed. Needs `views`.
 
     Raises:
         InputError: the workspace is not ready, or an option is out of range.
@@ -103,135 +99,196 @@ def stereo(
     views = read_views(workspace)
     what = {key: value for key, value in asdict(options).items() if key != "threads"}
     workspace.begin_stage("stereo", fingerprint(workspace.fingerprint_of("views"), what))
-    scene = read_native_scene(workspace)
-    natives = {native.name: native for native in workspace.natives}
-    of_passes: dict[Pass, Callable[..., DepthMap]] = {
-        "photometric": _photometric,
-        "geometric": _geometric,
-    }
-    everything = list(workspace.sub_images())
-    for of_pass, estimate in of_passes.items():
-        todo = [unit for unit in everything if not _is_done(workspace, unit[1], of_pass)]
+    if any(not workspace.depth_map(sub, "geometric").exists() for _, sub in workspace.sub_images()):
+        estimator = _Estimator(workspace, views, options)
+        before = None
+        for of_pass in passes(views.coarsest, options):
+            estimator.run(of_pass, before, progress)
+            before = of_pass
+    shutil.rmtree(workspace.passes, ignore_errors=True)
+
+
+class _Estimator:
+    """Runs passes over the units of a workspace."""
+
+    def __init__(self, workspace: Workspace, views: Views, options: StereoOptions) -> None:
+        self._workspace, self._views, self._options = workspace, views, options
+        self._scene = read_native_scene(workspace)
+        self._natives = {native.name: native for native in workspace.natives}
+        self._covered = {native.name: native.covered for native in workspace.natives}
+
+    def run(self, of_pass: StereoPass, before: StereoPass | None, progress: Progress) -> None:
+        """Estimates all units that are not done yet; `before` is the pass that they start from."""
+        coarsest = self._views.coarsest
+        maps = PassMaps(self._workspace, before, coarsest) if before else None
+        everything = list(units(self._workspace.natives, of_pass.level, coarsest))
+        todo = [unit for unit in everything if not self._output(unit, of_pass).exists()]
         if len(todo) < len(everything):
             done = len(everything) - len(todo)
-            progress.note(f"stereo, {of_pass}: {done} sub-images are done already")
-        with progress.stage(f"stereo, {of_pass}", len(todo), "sub-image") as step:
-            for native, sub_image in todo:
-                problem = _Problem(
-                    workspace, natives, scene, native, views.sub_images[sub_image.name], options
-                )
-                maps = estimate(problem) if problem.views.sources else _nothing(problem)
-                _write(workspace, sub_image, of_pass, maps, problem.views.window)
+            progress.note(f"{of_pass.title}: {done} of {len(everything)} are done already")
+        noun = "photograph" if of_pass.level == coarsest else "sub-image"
+        with progress.stage(of_pass.title, len(todo), noun) as step:
+            for unit in todo:
+                if of_pass.is_last and unit.sub_image is not None:
+                    self._finish(unit, unit.sub_image, of_pass, maps)
+                else:
+                    window, found = self._estimate(unit, unit.kept, of_pass, maps)
+                    if of_pass.complete:
+                        self._complete(unit.native, window, of_pass.level, found)
+                    write_planes(self._output(unit, of_pass), found, unit.kept.slices_in(window))
                 step.advance()
 
+    def _output(self, unit: Unit, of_pass: StereoPass) -> Path:
+        """What is written last of a unit."""
+        if of_pass.is_last and unit.sub_image is not None:
+            return self._workspace.depth_map(unit.sub_image, "geometric")
+        return self._workspace.pass_map(unit.name, of_pass.name)
 
-@dataclass(frozen=True)
-class _Problem:
-    workspace: Workspace
-    natives: dict[str, NativeImage]
-    scene: NativeScene
-    native: NativeImage
-    views: SubImageViews
-    options: StereoOptions
+    def _estimate(
+        self, unit: Unit, kept: Rectangle, of_pass: StereoPass, before: PassMaps | None
+    ) -> tuple[Rectangle, dict[str, npt.NDArray[Any]]]:
+        """The window, `kept` with its halo, and what the pass finds in it."""
+        native, level = unit.native, of_pass.level
+        # What is filtered must know the islands that reach into what is kept.
+        reach = of_pass.margin + (self._options.margin if of_pass.is_last else 0)
+        halo = min(self._views.halo, reach)
+        window = kept.padded(halo).intersection(at_level(native.covered, level))
+        field = self._views.fields[native.name]
+        if not field.sources:
+            return window, nothing_found(window)
+        windows = source_windows(
+            self._scene,
+            field,
+            native_pixels(window, level, native.rectangle),
+            level=level,
+            covered=self._covered,
+        )
+        depths = before if of_pass.kind == "geometric" else None
+        found = _core.patch_match(
+            reference=self._view(native, window, level),
+            sources=[
+                self._source(source, windows.get(index), level, depths)
+                for index, source in enumerate(field.sources)
+            ],
+            block_side=field.side,
+            allowed=field.allowed,
+            min_depth=field.min_depth,
+            max_depth=field.max_depth,
+            points=self._sparse_points(native) if before is None else np.empty((0, 3)),
+            start=before.start(native.name, window, level) if before else None,
+            options=self._core_options(of_pass, native),
+        )
+        return window, found
 
-    def window(
+    def _complete(
         self,
-        name: str,
+        native: NativeImage,
+        window: Rectangle,
+        level: int,
+        found: dict[str, npt.NDArray[Any]],
+    ) -> None:
+        """Gives weak texture in `found` the planes around it (cpp/src/patch_match/planar_completion.h)."""
+        camera = self._scene.cameras[native.name]
+        sources = self._views.fields[native.name].sources
+        if not sources:
+            return
+        centres = np.stack([self._scene.cameras[source.name].centre for source in sources])
+        options = _core.PlanarCompletionOptions()
+        options.threads = self._options.threads
+        found["depth"], found["normal"], _ = _core.complete_planes(
+            level=level,
+            x0=window.x0,
+            y0=window.y0,
+            intrinsics=camera.intrinsics,
+            grey=read_grey(self._workspace, native, window, level),
+            depth=found["depth"],
+            normal=found["normal"],
+            views=found["views"],
+            texture=found["texture"],
+            num_consistent=found["num_consistent"],
+            source_centres=camera.in_camera(centres),
+            options=options,
+        )
+
+    def _finish(
+        self, unit: Unit, sub_image: SubImage, of_pass: StereoPass, before: PassMaps | None
+    ) -> None:
+        """The last pass: its maps are filtered and stand in COLMAP's folders; missing pixels are 0."""
+        workspace = self._workspace
+        window, found = self._estimate(unit, sub_image.stored, of_pass, before)
+        camera = self._scene.cameras[unit.native.name]
+        offered = self._views.fields[unit.native.name].num_sources(window)
+        reason, confidence = filter_depths(
+            Estimate(**{one.name: found[one.name] for one in fields(Estimate)}),
+            camera.intrinsics,
+            window,
+            read_mask_window(workspace, unit.native.name, window),
+            offered,
+            self._options,
+        )
+        reason = np.where(offered == 0, np.uint8(Reason.NO_SOURCES), reason)
+        kept = sub_image.stored.slices_in(window)
+        missing = reason[kept] != 0
+        write_map(workspace.reason_map(sub_image), reason[kept].astype(np.float32))
+        write_map(workspace.confidence_map(sub_image), confidence[kept])
+        normal = np.where(missing, np.float32(0), found["normal"][(slice(None), *kept)])
+        write_map(workspace.normal_map(sub_image, "geometric"), normal)
+        depth = np.where(missing, np.float32(0), found["depth"][kept])
+        write_map(workspace.depth_map(sub_image, "geometric"), depth)  # the last: it is done
+
+    def _view(
+        self,
+        native: NativeImage,
         rectangle: Rectangle,
-        *,
-        with_depth: bool = False,
-        with_normal: bool = False,
+        level: int,
+        inverse_depth: npt.NDArray[np.float32] | None = None,
     ) -> _core.ViewWindow:
-        """A window of a native image with its camera, and what the photometric pass found in it."""
-        native, camera = self.natives[name], self.scene.cameras[name]
-
-        def read(kind: Literal["depth", "normal"]) -> FloatMap:
-            return read_map_window(self.workspace, native, rectangle, kind, "photometric")
-
+        camera = self._scene.cameras[native.name]
         return _core.ViewWindow(
             intrinsics=camera.intrinsics,
             cam_from_world=camera.cam_from_world,
+            level=level,
             x0=rectangle.x0,
             y0=rectangle.y0,
-            grey=read_window(self.workspace, native.name, rectangle),
-            depth=read("depth") if with_depth else None,
-            normal=read("normal") if with_normal else None,
+            grey=read_grey(self._workspace, native, rectangle, level),
+            inverse_depth=inverse_depth,
         )
 
-    def core_options(self, of_pass: Pass) -> _core.PatchMatchOptions:
+    def _source(
+        self,
+        source: FieldSource,
+        window: Rectangle | None,  # native pixels; None: nothing of it is needed
+        level: int,
+        depths: PassMaps | None,
+    ) -> _core.ViewWindow | None:
+        if window is None:
+            return None
+        native = self._natives[source.name]
+        rectangle = at_level(window, level + source.level)
+        if min(rectangle.width, rectangle.height) < _LEAST_SIDE:
+            return None
+        inverse = None
+        if depths is not None:
+            inverse = depths.read_coarser(native, rectangle, source.level)
+            np.divide(1, inverse, out=inverse, where=inverse > 0)
+        return self._view(native, rectangle, level + source.level, inverse)
+
+    def _core_options(self, of_pass: StereoPass, native: NativeImage) -> _core.PatchMatchOptions:
         core = _core.PatchMatchOptions()
-        known = set(dir(core))
-        for field in fields(self.options):
-            if field.name in known:
-                setattr(core, field.name, getattr(self.options, field.name))
-        core.min_depth, core.max_depth = self.views.min_depth, self.views.max_depth
+        core.iterations = of_pass.iterations
+        core.offers = of_pass.offers
+        core.all_sources = of_pass.all_sources
+        core.select_views = of_pass.select_views
+        core.largest_step = of_pass.largest_step
+        core.top_views = self._options.top_views
+        core.threads = self._options.threads
         # The random numbers of an image depend on its name, not on which others there are.
-        core.seed = zlib.crc32(f"{self.options.seed} {of_pass} {self.native.name}".encode())
+        core.seed = zlib.crc32(f"{self._options.seed} {of_pass.name} {native.name}".encode())
         return core
 
-    def sparse_points(self) -> npt.NDArray[np.float64]:
-        seen = self.scene.observations[self.native.name]
+    def _sparse_points(self, native: NativeImage) -> npt.NDArray[np.float64]:
+        seen = self._scene.observations[native.name]
         return np.ascontiguousarray(np.column_stack([seen.pixel, seen.depth]))
-
-
-def _photometric(problem: _Problem) -> DepthMap:
-    views = problem.views
-    depth, normal, _, num_seeing, _ = _core.patch_match(
-        problem.window(problem.native.name, views.window),
-        [problem.window(source.name, source.window) for source in views.sources],
-        problem.sparse_points(),
-        problem.core_options("photometric"),
-    )
-    return DepthMap(depth, normal, np.where(num_seeing == 0, Reason.NOT_SEEN, 0).astype(np.uint8))
-
-
-def _geometric(problem: _Problem) -> DepthMap:
-    views, options = problem.views, problem.options
-    depth, normal, cost, num_seeing, num_consistent = _core.patch_match(
-        problem.window(problem.native.name, views.window, with_depth=True, with_normal=True),
-        [problem.window(source.name, source.window, with_depth=True) for source in views.sources],
-        np.empty((0, 3)),
-        problem.core_options("geometric"),
-    )
-    # Where few photographs overlap no more can agree than there are.
-    enough = min(options.min_consistent, len(views.sources))
-    reason = (
-        ((num_seeing == 0) | (depth == 0)) * np.uint8(Reason.NOT_SEEN)
-        + ((cost > options.max_cost) & (num_consistent < options.costly_consistent))
-        * np.uint8(Reason.HIGH_COST)
-        + (num_consistent < enough) * np.uint8(Reason.INCONSISTENT)
-    )
-    masked = read_mask_window(problem.workspace, problem.native.name, views.window)
-    return DepthMap(depth, normal, reason + masked * np.uint8(Reason.MASKED))
-
-
-def _nothing(problem: _Problem) -> DepthMap:
-    shape = (problem.views.window.height, problem.views.window.width)
-    return DepthMap(
-        np.zeros(shape, np.float32),
-        np.zeros((3, *shape), np.float32),
-        np.full(shape, Reason.NO_SOURCES, np.uint8),
-    )
-
-
-def _is_done(workspace: Workspace, sub_image: SubImage, of_pass: Pass) -> bool:
-    # The depth map is written last.
-    return workspace.depth_map(sub_image, of_pass).exists()
-
-
-def _write(
-    workspace: Workspace, sub_image: SubImage, of_pass: Pass, maps: DepthMap, window: Rectangle
-) -> None:
-    """Cuts the halo off and writes the maps of what the sub-image stores; missing pixels are 0."""
-    rows, columns = sub_image.stored.slices_in(window)
-    reason = maps.reason[rows, columns]
-    missing = reason != 0
-    depth = np.where(missing, np.float32(0), maps.depth[rows, columns])
-    normal = np.where(missing, np.float32(0), maps.normal[:, rows, columns])
-    if of_pass == "geometric":
-        write_map(workspace.reason_map(sub_image), reason.astype(np.float32))
-    write_map(workspace.normal_map(sub_image, of_pass), normal)
-    write_map(workspace.depth_map(sub_image, of_pass), depth)
 
 
 def count_reasons(workspace: Workspace) -> dict[str, dict[str, int]]:

@@ -17,12 +17,14 @@ import numpy as np
 from sirpy.engine_options import CopyPolicy
 from sirpy.errors import InputError
 from sirpy.files import place
-from sirpy.native_images import NativeImage, SubImage
+from sirpy.native_images import SubImage
 from sirpy.native_scene import Floats, Indices, NativeCamera, NativeScene, read_native_scene
 from sirpy.photographs import open_photograph
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
-from sirpy.view_selection import MOST_SOURCES, SubImageViews, source_scores, sub_image_views
+from sirpy.view_fields import ViewField, source_scores, view_field
+from sirpy.view_selection import MOST_OF_A_BLOCK
+from sirpy.view_windows import SubImageViews, sub_image_views
 from sirpy.workspace import Workspace
 
 _FLOAT32_STEP = 2.0**-23  # relative
@@ -92,11 +94,15 @@ def engine_views(
         if only is None or sub.name in only
     ]
     views: list[EngineView] = []
+    field: ViewField | None = None
     with progress.stage("views", len(wanted), "sub-image") as steps:
         for number, native, sub in wanted:
-            found = sub_image_views(scene, native, sub, num_sources=MOST_SOURCES, halo=0)
+            if field is None or field.name != native.name:
+                field = view_field(scene, native.name, num_sources=MOST_OF_A_BLOCK)
+            # Engines know of no other levels than that of the native pixels.
+            found = sub_image_views(scene, field, sub, halo=0, coarsest=1)
             camera = scene.cameras[native.name]
-            sources = _ranked_parts(scene, native, sub, found, parts)[:most_sources]
+            sources = _ranked_parts(scene, native.name, sub, found, parts)[:most_sources]
             depths = found.min_depth, found.max_depth
             views.append(EngineView(number, camera, sub, *depths, tuple(sources)))
             steps.advance()
@@ -182,7 +188,7 @@ class _Parts:
 
 def _ranked_parts(
     scene: NativeScene,
-    native: NativeImage,
+    native: str,
     sub: SubImage,
     found: SubImageViews,
     parts: dict[str, _Parts],

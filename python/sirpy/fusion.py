@@ -126,14 +126,19 @@ def _fuse_core(
     core_options = _core.FusionOptions()
     for key, value in asdict(options).items():
         setattr(core_options, key, value)
-    one = views.sub_images[sub_image.name]
-    core_options.min_consistent = max(1, min(options.min_consistent, len(one.sources)))
+    field = views.fields[native.name]
+    windows = {one.name: one.window for one in views.sub_images[sub_image.name].sources}
     core = sub_image.core
     position, normal, pixel, _, _, _ = _core.fuse(
         depth_view(native.name, core),
         read_map_window(workspace, native, core, "normal", "geometric"),
-        [depth_view(source.name, source.window) for source in one.sources],
-        core_options,
+        [
+            depth_view(source.name, windows[source.name]) if source.name in windows else None
+            for source in field.sources
+        ],
+        block_side=field.side,
+        allowed=field.allowed,
+        options=core_options,
     )
     color = read_window(workspace, native.name, core, "color").reshape(-1, 3)[pixel]
     points = np.empty(len(pixel), POINT)

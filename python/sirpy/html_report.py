@@ -20,7 +20,7 @@ from sirpy.dense_stereo import count_reasons
 from sirpy.files import read_json, written_whole
 from sirpy.model_arrays import read_arrays
 from sirpy.native_images import NativeImage
-from sirpy.pictures import depth_colours, encoded_jpeg
+from sirpy.pictures import REASON_COLOURS, depth_colours, encoded_jpeg
 from sirpy.ply import read_vertices
 from sirpy.progress import duration
 from sirpy.workspace import Workspace
@@ -31,18 +31,8 @@ _CLOUD_SIDE = 1400
 _DEPTH_PICTURES = 4
 _ROWS_SHOWN = 30  # photographs in the table of coverage before it is folded
 
-# Colours of the reasons in the order in which they first occur; `valid` is the first.
-_REASON_COLOURS = (
-    "#2f6fb5",
-    "#f0b64a",
-    "#c8501e",
-    "#8d5aa8",
-    "#3f9c85",
-    "#9aa4af",
-    "#d98bb0",
-    "#6f5b45",
-    "#b9c246",
-)
+# Of `valid`, and of the reasons in the order in which they first occur.
+_COLOURS = ("#2f6fb5", *REASON_COLOURS)
 
 
 def report(workspace: Workspace) -> Path:
@@ -178,8 +168,8 @@ def _grid(workspace: Workspace) -> str:
     native = workspace.natives[0]
     columns = len({sub.column for sub in native.sub_images})
     rows = len({sub.row for sub in native.sub_images})
-    factor = overview.decimation(native, _GRID_SIDE)
-    image = overview.photograph(workspace, native, factor)
+    frame = overview.Frame.of_native(native, _GRID_SIDE)
+    image = overview.photograph(workspace, frame)
     stroke = native.width / 500
     shapes = []
     for sub_image in native.sub_images:
@@ -194,8 +184,8 @@ def _grid(workspace: Workspace) -> str:
         )
     sizes = {(sub.stored.width, sub.stored.height) for sub in native.sub_images}
     decimated = (
-        f" This picture is decimated {factor} times; the reconstruction is not."
-        if factor > 1
+        f" This picture is decimated {frame.factor} times; the reconstruction is not."
+        if frame.factor > 1
         else ""
     )
     largest = max(sizes, key=lambda size: size[0] * size[1])
@@ -228,9 +218,9 @@ def _has_depth(workspace: Workspace, native: NativeImage) -> bool:
 
 
 def _depth_card(workspace: Workspace, native: NativeImage) -> str:
-    factor = overview.decimation(native, _DEPTH_SIDE)
-    image = overview.photograph(workspace, native, factor)
-    depth = overview.depth_map(workspace, native, factor)
+    frame = overview.Frame.of_native(native, _DEPTH_SIDE)
+    image = overview.photograph(workspace, frame)
+    depth = overview.depth_map(workspace, frame)
     known = depth[depth > 0]
     nearest, farthest = np.percentile(known, [1, 99]) if len(known) else (0.0, 1.0)
     colours = depth_colours(depth, float(nearest), float(farthest))
@@ -248,7 +238,7 @@ def _coverage(reasons: dict[str, dict[str, int]]) -> str:
     if not reasons:
         return ""
     names = list(dict.fromkeys(["valid", *(n for counts in reasons.values() for n in counts)]))
-    colours = {name: _REASON_COLOURS[i % len(_REASON_COLOURS)] for i, name in enumerate(names)}
+    colours = {name: _COLOURS[i % len(_COLOURS)] for i, name in enumerate(names)}
     totals = {name: sum(c.get(name, 0) for c in reasons.values()) for name in names}
     pixels = max(sum(totals.values()), 1)
     key = "".join(

@@ -1,13 +1,27 @@
-"""Small pictures: encoding of RGB arrays, decimation, and colours for depths."""
+"""Small pictures: encoding of RGB arrays, text, and colours for depths and for reasons."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 MISSING_COLOUR = (38, 40, 44)
+
+# Colours of the reasons why pixels have no depth, in the order of their bits.
+REASON_COLOURS = (
+    "#f0b64a",
+    "#c8501e",
+    "#8d5aa8",
+    "#3f9c85",
+    "#9aa4af",
+    "#d98bb0",
+    "#6f5b45",
+    "#b9c246",
+)
 
 
 def encoded_jpeg(image: NDArray[np.uint8], quality: int = 85) -> bytes:
@@ -38,6 +52,46 @@ def _encoded(image: NDArray[np.uint8], driver: str, **options: object) -> bytes:
         ) as file:
             file.write(np.moveaxis(image, -1, 0))
         return bytes(memory.getbuffer())
+
+
+@dataclass(frozen=True)
+class Text:
+    """A line of text in a picture: its top is at y, and x at the share `anchor` of its length; `size` is
+    its height, in pixels.
+    """
+
+    x: int
+    y: int
+    words: str
+    size: int
+    most_width: int  # shortened in the middle to fit
+    anchor: float = 0.0
+
+
+def with_texts(
+    image: NDArray[np.uint8], texts: Iterable[Text], colour: tuple[int, int, int]
+) -> NDArray[np.uint8]:
+    """A copy of an RGB array (height, width, 3) with text on it."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    canvas = Image.fromarray(image)
+    draw = ImageDraw.Draw(canvas)
+    for text in texts:
+        font = ImageFont.load_default(text.size)
+        words = text.words
+        kept = len(words)
+        while kept > 2 and draw.textlength(words, font) > text.most_width:
+            kept -= 1
+            words = f"{text.words[: kept // 2]}…{text.words[kept // 2 - kept :]}"
+        left = text.x - text.anchor * draw.textlength(words, font)
+        draw.text((left, text.y), words, colour, font)
+    return np.array(canvas)
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Of "#rrggbb"."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
 
 
 def depth_colours(depth: NDArray[np.float32], nearest: float, farthest: float) -> NDArray[np.uint8]:

@@ -21,9 +21,10 @@ from sirpy.model_arrays import read_arrays
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeScene, native_scene
 from sirpy.photographs import open_photograph
-from sirpy.rectangle import Grid, Rectangle
+from sirpy.rectangle import Grid
 from sirpy.sub_image_model import undistorted_model
-from sirpy.view_selection import check_num_sources, sub_image_views
+from sirpy.view_selection import check_num_sources
+from sirpy.view_windows import ViewSelection
 
 # Python with numpy, pycolmap and rasterio loaded.
 _PROCESS_BYTES = 130_000_000
@@ -47,14 +48,14 @@ _NOTABLE_BYTES = 200_000_000  # of what has to be held of a photograph
 # bytes each, and the maps. For workspaces that are made for other engines.
 _ENGINE_BYTES_PER_PIXEL = 200
 
-# CPU microseconds: per native pixel, of stereo also per source; views per sub-image.
+# CPU microseconds: per native pixel, of stereo also per source; views per photograph and per sub-image.
 _CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.025, 0.7, 0.05
 _STEREO_TIME, _STEREO_TIME_OF_A_SOURCE = 2.5, 3.0
-_VIEWS_TIME = 10_000.0
+_VIEWS_TIME = 60_000.0, 1_500.0
 # Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps in both passes (depth 4, normal
-# 12) and the reason 4; points per pixel, 27 bytes each in its part and again in the cloud.
+# 12), reason 4 and confidence 4; points per pixel, 27 bytes each in its part and again in the cloud.
 _JPEG_BYTES, _PNG_BYTES = 0.5, 2.0
-_MAP_FILES, _MAP_BYTES = 5, 36
+_MAP_FILES, _MAP_BYTES = 6, 40
 _POINTS_PER_PIXEL, _POINT_BYTES = 0.3, 54
 
 
@@ -136,13 +137,14 @@ def plan(
     names = list(uncut)
     held, notes = _held_bytes(Path(images), names) if images else ({}, ())
     covered = {name: native.covered for name, native in uncut.items()}
+    selection = ViewSelection(scene, covered, num_sources, halo)
 
     def predict(candidate: Grid, some: list[str], most: int = _MOST_SUB_IMAGES) -> Plan:
         layout = Layout(candidate, overlap, region)
         # Smaller sub-images lie closer to what they see: an area may be seen by none of some.
         natives = _cut_images(scene, layout, seeing, some)
         natives = natives or _cut_images(scene, layout, seeing, names)
-        return _predict(scene, candidate, natives, covered, num_sources, halo, held, notes, most)
+        return _predict(selection, candidate, natives, held, notes, most)
 
     candidates, peaks = [grid] if grid else list(_candidates(scene, region, names)), list[int]()
     if grid is None and memory is not None:
@@ -279,21 +281,17 @@ def _held_bytes(images: Path, names: list[str]) -> tuple[dict[str, int], tuple[s
 
 
 def _predict(
-    scene: NativeScene,
+    selection: ViewSelection,
     grid: Grid,
     natives: dict[str, NativeImage],
-    covered: dict[str, Rectangle],
-    num_sources: int,
-    halo: int,
     held: dict[str, int],
     notes: tuple[str, ...],
     most_sub_images: int,
 ) -> Plan:
-    units = [
-        (native, sub)
-        for native in list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
-        for sub in native.sub_images
-    ]
+    scene = selection.scene
+    looked_at = list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
+    units = [(native, sub) for native in looked_at for sub in native.sub_images]
+    chosen = units[:: -(-len(units) // most_sub_images)]
     # (pixels of the core, of the source windows, views) of each sub-image that is looked at.
     found = [
         (
@@ -301,26 +299,30 @@ def _predict(
             sum(source.window.area for source in views.sources),
             views,
         )
-        for native, sub in units[:: -(-len(units) // most_sub_images)]
-        for views in [
-            sub_image_views(scene, native, sub, num_sources=num_sources, halo=halo, covered=covered)
-        ]
+        for native, sub in chosen
+        for views in [selection.sub_image(native.name, sub)]
     ]
     stored = [sub.stored for native in natives.values() for sub in native.sub_images]
     core = sum(sub.core.area for native in natives.values() for sub in native.sub_images)
     pixels = sum(one.area for one in stored)
     share = len(stored) / len(found)  # of what was not looked at
     stereo_time = share * sum(
-        views.window.area * (_STEREO_TIME + _STEREO_TIME_OF_A_SOURCE * len(views.sources))
+        views.window.area * (_STEREO_TIME + _STEREO_TIME_OF_A_SOURCE * count)
         for _, _, views in found
+        for count in [min(len(views.sources), selection.num_sources)]
     )
+    views_time = _VIEWS_TIME[0] * len(natives) + _VIEWS_TIME[1] * len(stored)
     observations = sum(len(seen.point) for seen in scene.observations.values())
     process = _PROCESS_BYTES + _BYTES_PER_OBSERVATION * observations
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
     fuse = max(_FUSE_BYTES[0] * area + _FUSE_BYTES[1] * sources for area, sources, _ in found)
-    stereo = max(_stereo_bytes(views.window.area, sources) for _, sources, views in found)
     stereo_bytes = _stereo_bytes_per_pixel()
+    stereo = max(
+        stereo_bytes[0] * reference + stereo_bytes[1] * sources
+        for native, sub in [*chosen, *((native, None) for native in looked_at)]
+        for reference, sources in [selection.pixels(native.name, sub)]
+    )
     cached = min(IMAGE_CACHE_BYTES, pixels)
     cores = os.cpu_count() or 1
     count, unit = len(stored), "sub-image"
@@ -356,7 +358,7 @@ def _predict(
         ),
         stages=(
             stage("cut", (len(natives), "photograph"), cut, _CUT_TIME * native_pixels, cores),
-            stage("views", (count, unit), 0, _VIEWS_TIME * count, 1),
+            stage("views", (count, unit), 0, views_time, 1),
             stage("stereo", (count, unit), cached + stereo, stereo_time, cores, stereo_bytes),
             stage("fuse", (count, unit), cached + fuse, _FUSE_TIME * core, cores, _FUSE_BYTES),
             stage("report", (1, "page"), _REPORT_BYTES, _REPORT_TIME * core, 1),
@@ -365,20 +367,11 @@ def _predict(
     )
 
 
-def _stereo_bytes_per_pixel(geometric: bool = True) -> tuple[int, int]:
-    """Of the reference's window, and of each source's."""
-    # Beside the core's own: grey 1, depth 4, normal 12 read; grey 1, depth 4 of each source.
-    read = (17, 5) if geometric else (1, 1)
-    reference, source = _core.patch_match_bytes_per_pixel(geometric)
-    return reference + read[0], source + read[1]
-
-
-def _stereo_bytes(reference_pixels: int, source_pixels: int) -> int:
-    """The geometric pass, which holds the depths of the sources too, or the photometric one."""
-    return max(
-        reference_pixels * reference + source_pixels * source
-        for reference, source in map(_stereo_bytes_per_pixel, (False, True))
-    )
+def _stereo_bytes_per_pixel() -> tuple[int, int]:
+    """Of the window that is estimated, and of each source's: of a geometric pass, which holds most."""
+    reference, source = _core.patch_match_bytes_per_pixel()
+    # Beside the core's own: grey 1, and of the pass before depth 4, normal 12, views 4; grey 1, inverse depth 4.
+    return reference + 21, source + 5
 
 
 def _bytes_on_disk(native: NativeImage) -> float:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from sirpy.errors import InputError
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeScene
-from sirpy.view_selection import points_seen
+from sirpy.view_fields import points_seen
 
 
 def of_one_size(natives: list[NativeImage], multiple: int) -> list[NativeImage]:

@@ -10,6 +10,7 @@ OUT/sparse/              COLMAP model of the sub-images
 OUT/clusters.json, OUT/clusters/   groups of sub-images, when asked for
 OUT/views.json           sources, depth range and source windows of each sub-image
 OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-match.cfg, fusion.cfg
+OUT/explained/           pictures of what stereo found, on request
 OUT/fusion/              the points of each sub-image
 OUT/fused.ply, OUT/cloud.png, OUT/report.html, OUT/run.json
 
@@ -71,6 +72,9 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/depth_maps",
         "stereo/normal_maps",
         "stereo/reason_maps",
+        "stereo/passes",
+        "stereo/confidence_maps",
+        "explained",
         "stereo/consistency_graphs",
     ),
     "fuse": ("fusion", "fused.ply", "fused.ply.vis", "meshed-poisson.ply", "run.json"),
@@ -225,6 +229,21 @@ class Workspace:
 
     def reason_map(self, sub_image: SubImage) -> Path:
         return self.stereo / "reason_maps" / f"{sub_image.name}.bin"
+
+    @property
+    def passes(self) -> Path:
+        """What stereo starts its next pass from; removed when it is done."""
+        return self.stereo / "passes"
+
+    def pass_map(self, name: str, of_pass: str) -> Path:
+        return self.passes / of_pass / f"{name}.npy"
+
+    def confidence_map(self, sub_image: SubImage) -> Path:
+        return self.stereo / "confidence_maps" / f"{sub_image.name}.bin"
+
+    def explanation(self, name: str) -> Path:
+        """A picture of what stereo found in a sub-image or a native image."""
+        return self.folder / "explained" / f"{name}.png"
 
     def fused_part(self, sub_image: SubImage) -> Path:
         return self.folder / "fusion" / f"{sub_image.name}.npy"

@@ -20,14 +20,21 @@ std::vector<RenderedView> PlaneViews() {
   return views;
 }
 
+// One block that allows all sources.
+FusedPoints FuseAll(const DepthView& reference, const float* normal,
+                    const std::vector<DepthView>& sources, const FusionOptions& options) {
+  const uint32_t allowed = (1u << sources.size()) - 1;
+  return Fuse(reference, normal, sources, {1 << 20, 1, 1, &allowed}, options);
+}
+
 FusedPoints FuseView(const std::vector<RenderedView>& views, size_t reference,
                      FusionOptions options = {}) {
   std::vector<DepthView> sources;
   for (size_t i = 0; i < views.size(); ++i) {
     if (i != reference) sources.push_back(views[i].Depths(int(i)));
   }
-  return Fuse(views[reference].Depths(int(reference)), views[reference].normal.data(), sources,
-              options);
+  return FuseAll(views[reference].Depths(int(reference)), views[reference].normal.data(), sources,
+                 options);
 }
 
 TEST(Fusion, PerfectDepthsGiveAPerfectCloud) {
@@ -99,7 +106,7 @@ TEST(Fusion, AWindowGivesThePointsOfTheWhole) {
   half.depth = depth.data();
   std::vector<DepthView> sources;
   for (size_t i = 1; i < views.size(); ++i) sources.push_back(views[i].Depths(int(i)));
-  const FusedPoints part = Fuse(half, normal.data(), sources, {});
+  const FusedPoints part = FuseAll(half, normal.data(), sources, {});
 
   std::set<std::array<double, 3>> of_whole, of_part;
   for (size_t i = 0; i < whole.pixel.size(); ++i) {
@@ -112,6 +119,35 @@ TEST(Fusion, AWindowGivesThePointsOfTheWhole) {
     of_part.insert({part.position[3 * i], part.position[3 * i + 1], part.position[3 * i + 2]});
   }
   EXPECT_EQ(of_whole, of_part);
+}
+
+TEST(Fusion, APixelCountsTheSourcesOfItsBlockAlone) {
+  const std::vector<RenderedView> views = PlaneViews();
+  std::vector<DepthView> sources;
+  for (size_t i = 1; i < views.size(); ++i) sources.push_back(views[i].Depths(int(i)));
+  // Three in the left half, one in the right half: there one that agrees is enough.
+  const uint32_t halves[] = {7, 2, 7, 2};
+  FusionOptions options;
+  options.keep_duplicates = true;
+  const auto fused = [&] {
+    return Fuse(views[0].Depths(0), views[0].normal.data(), sources, {60, 2, 2, halves}, options);
+  };
+  const FusedPoints points = fused();
+  for (size_t i = 0; i < points.pixel.size(); ++i) {
+    EXPECT_TRUE(points.pixel[i] % 120 < 60 || points.num_views[i] == 2);
+  }
+  // A source of which nothing is given sees nothing.
+  sources[1].depth = nullptr;
+  const FusedPoints without = fused();
+  for (int64_t pixel : without.pixel) EXPECT_LT(pixel % 120, 60);
+  EXPECT_GT(without.pixel.size(), 0.25 * 120 * 90);
+  const uint32_t unknown = 8;
+  EXPECT_THROW(
+      Fuse(views[0].Depths(0), views[0].normal.data(), sources, {200, 1, 1, &unknown}, options),
+      std::invalid_argument);
+  EXPECT_THROW(
+      Fuse(views[0].Depths(0), views[0].normal.data(), sources, {60, 1, 1, halves}, options),
+      std::invalid_argument);
 }
 
 }  // namespace

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <utility>
 
 #include <gtest/gtest.h>
 
+#include "patch_match/pyramid.h"
 #include "plane_scene.h"
 
 namespace sirpy {
@@ -12,7 +14,15 @@ namespace {
 
 constexpr int kWidth = 160, kHeight = 120;
 
+// One block that allows four sources and depths of 7 to 14.
+struct OneBlock {
+  uint32_t allowed = 15;
+  float min_depth = 7, max_depth = 14;
+  ViewBlocks View() const { return {1 << 20, 1, 1, &allowed, &min_depth, &max_depth}; }
+};
+
 struct Scene {
+  OneBlock blocks;
   RenderedView reference;
   std::vector<RenderedView> sources;
 
@@ -24,12 +34,58 @@ struct Scene {
     }
   }
 
-  PatchMatchResult Run(PatchMatchOptions options = {}, bool geometric = false) const {
-    options.min_depth = 7;
-    options.max_depth = 14;
+  // Photometric passes from level levels - 1 to the native one.
+  PatchMatchResult Run(PatchMatchOptions options = {}, int levels = 3) const {
+    PatchMatchResult result;
+    for (int level = levels - 1; level >= 0; --level) {
+      options.iterations = level == levels - 1 ? 4 : 2;
+      options.largest_step = level == levels - 1 ? 8 : 2;
+      const int before = (kWidth >> (level + 1)), height = (kHeight >> (level + 1));
+      const StartMaps start{level + 1,
+                            {0, 0, before, height},
+                            result.depth.data(),
+                            result.normal.data(),
+                            result.views.data()};
+      PatchMatchResult next = RunPass(level, level == levels - 1 ? nullptr : &start, options);
+      result = std::move(next);
+    }
+    return result;
+  }
+
+  PatchMatchResult RunPass(int level, const StartMaps* start, const PatchMatchOptions& options,
+                           Rectangle window = {}) const {
+    std::vector<std::vector<uint8_t>> shrunk;
+    const auto at_level = [&](const RenderedView& view) {
+      shrunk.push_back(patch_match::Shrunk(view.grey.data(), kWidth, kHeight, 1 << level));
+      ViewWindow found = view.Window();
+      found.level = level;
+      found.rectangle = {0, 0, kWidth >> level, kHeight >> level};
+      found.grey = shrunk.back().data();
+      return found;
+    };
+    ViewWindow of_reference = at_level(reference);
+    std::vector<uint8_t> cut;
+    if (window.Area() > 0) {
+      for (int64_t y = window.y0; y < window.y1(); ++y) {
+        const uint8_t* row = of_reference.grey + y * of_reference.rectangle.width;
+        cut.insert(cut.end(), row + window.x0, row + window.x1());
+      }
+      of_reference.rectangle = window;
+      of_reference.grey = cut.data();
+    }
     std::vector<ViewWindow> windows;
-    for (const RenderedView& source : sources) windows.push_back(source.Window(geometric));
-    return PatchMatchSir(reference.Window(geometric), windows, {{80, 60, 10}}, options);
+    for (const RenderedView& source : sources) windows.push_back(at_level(source));
+    return PatchMatchSir(of_reference, windows, blocks.View(), {{80, 60, 10}}, start, options);
+  }
+
+  // A geometric pass from the true depths.
+  PatchMatchResult RunGeometric() const {
+    std::vector<ViewWindow> windows;
+    for (const RenderedView& source : sources) windows.push_back(source.Window(true));
+    const std::vector<uint32_t> views(kWidth * kHeight, 15);
+    const StartMaps start{
+        0, {0, 0, kWidth, kHeight}, reference.depth.data(), reference.normal.data(), views.data()};
+    return PatchMatchSir(reference.Window(), windows, blocks.View(), {}, &start, {});
   }
 
   // Signed errors in pixels of motion in a source, inside a border where the sources see
@@ -82,9 +138,8 @@ TEST(PatchMatchSir, EveryPyramidLevelHasTheSamePixelCentres) {
   // A plane at constant depth: an offset of half a pixel at any level would bias the coarse answer.
   const Scene scene(PlaneSurface({0, 0, -1}, -10));
   for (int levels : {1, 2, 3}) {
-    PatchMatchOptions options;
-    options.levels = levels;
-    EXPECT_LT(std::abs(Median(scene.ShiftErrors(scene.Run(options)))), 0.02) << levels << " levels";
+    EXPECT_LT(std::abs(Median(scene.ShiftErrors(scene.Run({}, levels)))), 0.02)
+        << levels << " levels";
   }
 }
 
@@ -108,7 +163,7 @@ TEST(PatchMatchSir, StepIsSharp) {
 
 TEST(PatchMatchSir, GeometricPassKeepsATrueDepthAndCountsAgreement) {
   const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
-  const PatchMatchResult result = scene.Run({}, true);
+  const PatchMatchResult result = scene.RunGeometric();
   EXPECT_LT(MedianSize(scene.ShiftErrors(result)), 0.05);
   EXPECT_GE(int(result.num_consistent[60 * kWidth + 80]), 4);
 }
@@ -128,21 +183,79 @@ TEST(PatchMatchSir, SameBytesOnAnyNumberOfThreadsAndInstructionSet) {
   EXPECT_EQ(expected.cost, baseline.cost);
 }
 
+TEST(PatchMatchSir, WhatLiesWithinTheMarginDoesNotDependOnTheWindow) {
+  const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
+  PatchMatchOptions options;
+  options.iterations = 1;
+  const PatchMatchResult whole = scene.RunPass(0, nullptr, options);
+  const int margin = PatchMatchMargin(1);
+  const Rectangle window{3, 5, 137, 113};  // of 160 x 120: a core of 37 x 13 pixels is left
+  const PatchMatchResult part = scene.RunPass(0, nullptr, options, window);
+  int compared = 0, different_outside = 0;
+  for (int64_t y = 0; y < window.height; ++y) {
+    for (int64_t x = 0; x < window.width; ++x) {
+      const size_t in_part = size_t(y * window.width + x);
+      const size_t in_whole = size_t((window.y0 + y) * kWidth + window.x0 + x);
+      const bool inside =
+          x >= margin && y >= margin && x < window.width - margin && y < window.height - margin;
+      const bool same = part.depth[in_part] == whole.depth[in_whole] &&
+                        part.cost[in_part] == whole.cost[in_whole] &&
+                        part.views[in_part] == whole.views[in_whole] &&
+                        part.num_seeing[in_part] == whole.num_seeing[in_whole];
+      compared += inside;
+      EXPECT_TRUE(same || !inside) << x << ", " << y;
+      different_outside += !inside && !same;
+    }
+  }
+  EXPECT_GE(compared, 400);
+  EXPECT_GT(different_outside, 0);  // otherwise this test shows nothing
+}
+
+TEST(PatchMatchSir, ASourceAtACoarserLevelGivesTheSamePlane) {
+  const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
+  std::vector<std::vector<uint8_t>> shrunk;
+  std::vector<ViewWindow> windows;
+  for (const RenderedView& source : scene.sources) {
+    shrunk.push_back(patch_match::Shrunk(source.grey.data(), kWidth, kHeight, 2));
+    ViewWindow window = source.Window();
+    window.level = 1;
+    window.rectangle = {0, 0, kWidth / 2, kHeight / 2};
+    window.grey = shrunk.back().data();
+    windows.push_back(window);
+  }
+  PatchMatchOptions options;
+  options.iterations = 4;
+  options.largest_step = 8;
+  const PatchMatchResult result = PatchMatchSir(
+      scene.reference.Window(), windows, scene.blocks.View(), {{80, 60, 10}}, nullptr, options);
+  EXPECT_LT(std::abs(Median(scene.ShiftErrors(result))), 0.03);
+  EXPECT_LT(MedianSize(scene.ShiftErrors(result)), 0.15);
+}
+
+TEST(PatchMatchSir, ABlockBoundsDepthsAndSources) {
+  Scene scene(PlaneSurface({0, 0, -1}, -10));
+  scene.blocks.allowed = 2;
+  scene.blocks.min_depth = 10.5;
+  const PatchMatchResult result = scene.RunPass(0, nullptr, {});
+  for (size_t at = 0; at < result.depth.size(); ++at) {
+    EXPECT_EQ(result.views[at] & ~2u, 0u);
+    EXPECT_LE(int(result.num_seeing[at]), 1);
+    EXPECT_TRUE(result.depth[at] == 0 || result.depth[at] >= 10.499f);
+  }
+}
+
 TEST(PatchMatchSir, SmallWindowsAreNoSpecialCase) {
   const Scene scene(PlaneSurface({0, 0, -1}, -10));
-  PatchMatchOptions options;
-  options.min_depth = 7;
-  options.max_depth = 14;
-  for (const auto& [width, height] : {std::pair{2, 2}, {3, 7}, {9, 2}, {16, 1 + 4}}) {
+  for (const auto& [width, height] : {std::pair{1, 1}, {1, 5}, {2, 2}, {3, 7}, {9, 2}, {16, 5}}) {
     std::vector<uint8_t> grey(size_t(width) * height, 90);
     ViewWindow window = scene.reference.Window();
     window.rectangle = {80, 60, width, height};
     window.grey = grey.data();
-    std::vector<ViewWindow> sources;
-    for (const RenderedView& source : scene.sources) sources.push_back(source.Window());
-    EXPECT_EQ(PatchMatchSir(window, sources, {}, options).depth.size(), grey.size());
+    EXPECT_EQ(scene.RunPass(0, nullptr, {}, window.rectangle).depth.size(), grey.size());
+    if (width == 1) continue;
     // As a source it is smaller than a patch: nothing can be compared.
-    const PatchMatchResult blind = PatchMatchSir(scene.reference.Window(), {window}, {}, options);
+    const PatchMatchResult blind =
+        PatchMatchSir(scene.reference.Window(), {window}, scene.blocks.View(), {}, nullptr, {});
     EXPECT_EQ(std::count(blind.num_seeing.begin(), blind.num_seeing.end(), 0), kWidth * kHeight);
   }
 }
@@ -154,17 +267,45 @@ TEST(PatchMatchSir, WhatNoSourceSeesHasNoDepth) {
   EXPECT_EQ(std::count(result.depth.begin(), result.depth.end(), 0.f), kWidth * kHeight);
 }
 
+TEST(PatchMatchSir, ASourceThatIsNotGivenIsOneThatSeesNothing) {
+  const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
+  const std::vector<float> inverse_depth(4, 0.1f);
+  for (bool geometric : {false, true}) {
+    std::vector<ViewWindow> windows;
+    for (const RenderedView& source : scene.sources) windows.push_back(source.Window(geometric));
+    const std::vector<uint32_t> views(kWidth * kHeight, 15);
+    const StartMaps start{0,
+                          {0, 0, kWidth, kHeight},
+                          scene.reference.depth.data(),
+                          scene.reference.normal.data(),
+                          views.data()};
+    // Two by two pixels in a corner, where no patch lies.
+    windows[1].rectangle = {0, 0, 2, 2};
+    if (geometric) windows[1].inverse_depth = inverse_depth.data();
+    const auto run = [&] {
+      return PatchMatchSir(scene.reference.Window(), windows, scene.blocks.View(), {}, &start, {});
+    };
+    const PatchMatchResult small = run();
+    windows[1] = ViewWindow{};
+    const PatchMatchResult none = run();
+    EXPECT_EQ(small.depth, none.depth);
+    EXPECT_EQ(small.normal, none.normal);
+    EXPECT_EQ(small.views, none.views);
+    EXPECT_EQ(small.cost, none.cost);
+    EXPECT_EQ(small.num_consistent, none.num_consistent);
+    EXPECT_EQ(*std::max_element(none.num_seeing.begin(), none.num_seeing.end()), 3);
+  }
+}
+
 TEST(PatchMatchOptions, ErrorNamesFieldValueAndBound) {
   PatchMatchOptions options;
-  options.min_depth = 1;
-  options.max_depth = 0.5;
+  options.iterations = 0;
   try {
     options.Validate();
     FAIL();
   } catch (const std::invalid_argument& error) {
-    EXPECT_STREQ(
-        error.what(),
-        "PatchMatchOptions::max_depth = 0.500000. Violated constraint: max_depth > min_depth");
+    EXPECT_STREQ(error.what(),
+                 "PatchMatchOptions::iterations = 0.000000. Violated constraint: iterations >= 1");
   }
 }
 

@@ -44,17 +44,17 @@ struct RenderedView {
   Eigen::Vector3d translation;
   int width, height;
   std::vector<uint8_t> grey;
-  std::vector<float> depth;
+  std::vector<float> depth, inverse_depth;
   std::vector<float> normal;  // 3 planes, camera frame; filled for single planes
 
   ViewWindow Window(bool with_depth = false) const {
     return {intrinsics,
             rotation,
             translation,
+            0,
             {0, 0, width, height},
             grey.data(),
-            with_depth ? depth.data() : nullptr,
-            with_depth ? normal.data() : nullptr};
+            with_depth ? inverse_depth.data() : nullptr};
   }
   DepthView Depths(int rank) const {
     return {intrinsics, rotation, translation, {0, 0, width, height}, rank, depth.data()};
@@ -74,6 +74,7 @@ inline RenderedView Render(const Eigen::Vector3d& centre, const Surface& surface
   const size_t area = size_t(width) * height;
   view.grey.resize(area);
   view.depth.resize(area);
+  view.inverse_depth.resize(area);
   view.normal.resize(3 * area);
   const Eigen::Vector3d in_camera = view.rotation * normal;
   const double per_pixel = 10.0 / 300;
@@ -85,6 +86,7 @@ inline RenderedView Render(const Eigen::Vector3d& centre, const Surface& surface
       const Eigen::Vector3d point = centre + depth * ray;
       const size_t at = size_t(y) * width + x;
       view.depth[at] = float(depth);
+      view.inverse_depth[at] = float(1 / depth);
       view.grey[at] =
           uint8_t(std::lround(std::clamp(Texture(point.x(), point.y(), per_pixel), 0.0, 255.0)));
       for (int i = 0; i < 3; ++i) view.normal[at + i * area] = float(in_camera[i]);

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pycolmap
 import pytest
+from sirpy.cut_tasks import PixelOptions
 from sirpy.cutting import cut
 from sirpy.errors import InputError
 from sirpy.fusion import FusionOptions, fuse
@@ -17,7 +18,7 @@ from sirpy.rectangle import Grid
 from sirpy.sparse_model import read_model
 from sirpy.synthetic import evaluate, read_truth
 from sirpy.view_selection import views
-from sirpy.windows import write_map
+from sirpy.windows import read_map_window, write_map
 from sirpy.workspace import Workspace
 
 Floats = npt.NDArray[np.float64]
@@ -60,6 +61,16 @@ def perfect(town: Path, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     return workspace
 
 
+def _copy_maps(source: Workspace, target: Workspace) -> None:
+    """The depths and normals of native images, cut up in another way."""
+    for native, sub in target.sub_images():
+        of_source = source.native(native.name)
+        depth = read_map_window(source, of_source, sub.stored, "depth")
+        normal = read_map_window(source, of_source, sub.stored, "normal")
+        write_map(target.depth_map(sub, "geometric"), depth)
+        write_map(target.normal_map(sub, "geometric"), normal)
+
+
 def test_perfect_maps_give_a_perfect_cloud(town: Path, perfect: Workspace) -> None:
     count = fuse(perfect)
     judged = evaluate(town, perfect.fused, thresholds=(0.5, 1))
@@ -75,6 +86,24 @@ def test_the_cloud_does_not_depend_on_threads(perfect: Workspace) -> None:
         perfect.fused_part(sub_image).unlink()
     fuse(perfect, options=FusionOptions(threads=3))
     assert perfect.fused.read_bytes() == one
+
+
+def test_the_cloud_does_not_depend_on_the_grid(
+    town: Path, perfect: Workspace, tmp_path: Path
+) -> None:
+    # Two sources for each block of a photograph, of five: a sub-image's blocks have more together.
+    clouds = []
+    for grid in (Grid(1, 1), Grid(5, 3)):
+        output = tmp_path / str(grid)
+        pixels = PixelOptions(format="png")
+        workspace = cut(town / "images", town / "sparse", output, grid=grid, pixels=pixels)
+        views(workspace, num_sources=2)
+        _copy_maps(perfect, workspace)
+        fuse(workspace)
+        points = read_vertices(workspace.fused)
+        clouds.append(np.sort(points, order=["x", "y", "z"]))
+    assert len(clouds[0]) > 10_000
+    np.testing.assert_array_equal(clouds[0], clouds[1])
 
 
 def test_duplicates_are_kept_on_request(town: Path, perfect: Workspace) -> None:

@@ -11,8 +11,8 @@ import pytest
 import rasterio
 from rasterio.io import MemoryFile
 from sirpy import html_report, overview, synthetic
-from sirpy.dense_stereo import Reason
 from sirpy.errors import InputError
+from sirpy.filtering import Reason
 from sirpy.native_images import LeftOut, NativeImage, SubImage
 from sirpy.pictures import encoded_png
 from sirpy.rectangle import Grid, Rectangle
@@ -182,9 +182,10 @@ def test_the_cloud_picture_shows_the_ground_from_above(workspace: Workspace) -> 
 def test_overviews_are_the_photograph_and_its_depths(workspace: Workspace) -> None:
     """No pixel is missing or doubled where sub-images meet, whatever the decimation."""
     for factor in (1, 2, 3, 7):
-        native = workspace.natives[1]
-        image = overview.photograph(workspace, native, factor)
-        depth = overview.depth_map(workspace, native, factor)
+        frame = overview.Frame.of_native(workspace.natives[1], -(-SIZE[0] // factor))
+        assert frame.factor == factor
+        image = overview.photograph(workspace, frame)
+        depth = overview.depth_map(workspace, frame)
         assert abs(image.shape[0] - SIZE[1] / factor) < 1
         assert abs(image.shape[1] - SIZE[0] / factor) < 1
         assert depth.shape == image.shape[:2]
@@ -193,7 +194,6 @@ def test_overviews_are_the_photograph_and_its_depths(workspace: Workspace) -> No
         hole = (middle >= 100) & (middle < 120)
         assert not depth[hole].any()
         assert (depth[~hole] > 0).all()
-    assert overview.decimation(workspace.natives[0], 100) == 3
 
 
 def test_what_a_run_did_not_make_is_not_on_the_page(workspace: Workspace, tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_damage_is_named(workspace: Workspace, tmp_path: Path) -> None:
     path.write_bytes(whole[:-4])
     try:
         with pytest.raises(InputError, match="r0_c0"):
-            overview.depth_map(workspace, workspace.natives[0], 2)
+            overview.depth_map(workspace, overview.Frame.of_native(workspace.natives[0], 120))
     finally:
         path.write_bytes(whole)
 

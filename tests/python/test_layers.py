@@ -17,16 +17,16 @@ LAYERS = """
     flight truth synthetic
     model_files model_arrays self_calibration structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
-    colmap_lists view_selection area layout planning sub_image_sets
+    colmap_lists view_fields view_windows view_selection area layout planning sub_image_sets
     cut_tasks cutting windows
     clustering
     engine_views
     cmp_mvs mvsnet pmvs colmap_workspace
     exporting
     undistorter_options sir_undistorter colmap_launcher
-    dense_stereo
+    stereo_passes filtering dense_stereo
     fusion
-    overview cloud_picture html_report
+    overview cloud_picture explaining html_report
     pipeline demo plan_table
     cli __main__
 """

@@ -15,7 +15,8 @@ import pytest
 from sirpy.area import Area
 from sirpy.colmap_launcher import installed_colmap
 from sirpy.cutting import cut as cut_photographs
-from sirpy.dense_stereo import Reason, StereoOptions, stereo
+from sirpy.dense_stereo import StereoOptions, stereo
+from sirpy.filtering import Reason
 from sirpy.layout import Region
 from sirpy.model_arrays import read_arrays
 from sirpy.pipeline import reconstruct
@@ -137,36 +138,53 @@ def test_the_cloud_is_binary_with_normals_and_colours(cut: Path) -> None:
     assert all(np.isfinite(points[name]).all() for name in ("x", "y", "z", "nx", "ny", "nz"))
 
 
+def _killed_after(command: list[str], folder: Path, count: int) -> None:
+    """Runs the command, and kills it when there are so many maps in a folder."""
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and len(_whole(folder)) < count:
+        time.sleep(0.005)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    assert len(_whole(folder)) >= count
+
+
+def _whole(folder: Path) -> dict[Path, int]:
+    """The maps below a folder and when they were written."""
+    maps = [*folder.rglob("*.bin"), *folder.rglob("*.npy")]
+    return {path: path.stat().st_mtime_ns for path in maps if not path.name.startswith(".")}
+
+
 def test_a_killed_run_goes_on_where_it_was_and_ends_the_same(
     town: Path, cut: Path, tmp_path: Path
 ) -> None:
-    output = tmp_path / "out"
+    workspace = Workspace(tmp_path / "out")
     command = [sys.executable, "-m", "sirpy", "reconstruct", str(town / "images")]
-    command += ["--output", str(output), "--model", str(town / "sparse")]
+    command += ["--output", str(workspace.folder), "--model", str(town / "sparse")]
     command += ["--columns", "2", "--rows", "2", "--threads", "1", "--quiet"]
-    depth_maps = output / "stereo" / "depth_maps"
-    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and len(list(depth_maps.glob("*.geometric.bin"))) < 3:
-        time.sleep(0.05)
-    run.send_signal(signal.SIGKILL)
-    run.wait()
-    finished = {path: path.stat().st_mtime_ns for path in depth_maps.glob("*.bin")}
-    assert len([path for path in finished if ".geometric." in path.name]) >= 3
-    assert not (output / "fused.ply").exists()
+    depth_maps = workspace.stereo_folder("depth_maps")
+
+    _killed_after(command, workspace.passes / "level2.photometric", 2)
+    coarse = _whole(workspace.stereo)
+    assert not _whole(depth_maps)
+    _killed_after(command, depth_maps, 3)
+    finished = _whole(depth_maps)
+    assert coarse.items() <= _whole(workspace.stereo).items()
+    assert not workspace.fused.exists()
 
     again = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert again.returncode == 0, again.stderr
-    assert {path: path.stat().st_mtime_ns for path in finished} == finished
-    assert (output / "fused.ply").read_bytes() == (cut / "fused.ply").read_bytes()
-    assert not list(output.rglob("*.tmp*"))
+    assert finished.items() <= _whole(depth_maps).items()
+    assert not workspace.passes.exists()
+    assert workspace.fused.read_bytes() == (cut / "fused.ply").read_bytes()
+    assert not list(workspace.folder.rglob("*.tmp*"))
 
 
 def test_other_options_do_the_stage_again(town: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
-    few = StereoOptions(geometric_iterations=1)
+    more = StereoOptions(geometric_iterations=2)
     arguments = {"model": town / "sparse", "grid": Grid(1, 1), "num_sources": 2}
-    reconstruct(town / "images", output, stereo_options=few, **arguments)
+    reconstruct(town / "images", output, stereo_options=more, **arguments)
     first = (output / "fused.ply").read_bytes()
     reconstruct(town / "images", output, stereo_options=StereoOptions(), **arguments)
     assert (output / "fused.ply").read_bytes() != first

@@ -1,3 +1,5 @@
+#include <optional>
+
 #include <pybind11/eigen.h>
 #include <pybind11/stl.h>
 
@@ -31,18 +33,22 @@ OwnedDepthView MakeDepthView(const Eigen::Matrix3d& intrinsics, const Pose& cam_
 }
 
 py::tuple RunFuse(const OwnedDepthView& reference, const Array<float>& normal,
-                  const std::vector<OwnedDepthView>& sources, const FusionOptions& options) {
+                  const std::vector<std::optional<OwnedDepthView>>& sources, int block_side,
+                  const Array<uint32_t>& allowed, const FusionOptions& options) {
   CheckDimensions(normal, 3, "normal");
   if (normal.shape(0) != 3 || normal.shape(1) != reference.depth.shape(0) ||
       normal.shape(2) != reference.depth.shape(1)) {
     throw py::value_error("normal must have 3 planes of the size of the reference's depth");
   }
+  CheckDimensions(allowed, 2, "allowed");
+  const SourceBlocks blocks{block_side, int(allowed.shape(1)), int(allowed.shape(0)),
+                            allowed.data()};
   std::vector<DepthView> views;
-  for (const OwnedDepthView& source : sources) views.push_back(source.view);
+  for (const auto& source : sources) views.push_back(source ? source->view : DepthView{});
   FusedPoints points;
   {
     py::gil_scoped_release release;
-    points = Fuse(reference.view, normal.data(), views, options);
+    points = Fuse(reference.view, normal.data(), views, blocks, options);
   }
   const auto count = py::ssize_t(points.pixel.size());
   return py::make_tuple(
@@ -70,7 +76,8 @@ void BindFusion(py::module_& module) {
            py::arg("depth").noconvert());
 
   module.def("fuse", &RunFuse, py::arg("reference"), py::arg("normal").noconvert(),
-             py::arg("sources"), py::arg("options"));
+             py::arg("sources"), py::kw_only(), py::arg("block_side"),
+             py::arg("allowed").noconvert(), py::arg("options"));
 }
 
 }  // namespace sirpy

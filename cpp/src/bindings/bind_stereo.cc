@@ -5,7 +5,10 @@
 
 #include "bindings/arrays.h"
 #include "bindings/bindings.h"
+#include "depth_filter.h"
 #include "patch_match/level.h"
+#include "patch_match/planar_completion.h"
+#include "patch_match/pyramid.h"
 #include "patch_match_sir.h"
 
 namespace py = pybind11;
@@ -17,66 +20,177 @@ namespace {
 struct OwnedViewWindow {
   ViewWindow view;
   Array<uint8_t> grey;
-  std::optional<Array<float>> depth;
-  std::optional<Array<float>> normal;
+  std::optional<Array<float>> inverse_depth;
 };
 
 OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& cam_from_world,
-                               int64_t x0, int64_t y0, Array<uint8_t> grey,
-                               std::optional<Array<float>> depth,
-                               std::optional<Array<float>> normal) {
+                               int level, int64_t x0, int64_t y0, Array<uint8_t> grey,
+                               std::optional<Array<float>> inverse_depth) {
   CheckDimensions(grey, 2, "grey");
-  const auto check = [&](const auto& array, const char* name, int dimensions) {
-    CheckDimensions(array, dimensions, name);
-    if (array.shape(dimensions - 2) != grey.shape(0) ||
-        array.shape(dimensions - 1) != grey.shape(1)) {
-      throw py::value_error(std::string(name) + " must have the size of grey");
-    }
-  };
   OwnedViewWindow owned;
   owned.view.intrinsics = intrinsics;
   owned.view.rotation = cam_from_world.leftCols<3>();
   owned.view.translation = cam_from_world.col(3);
+  owned.view.level = level;
   owned.view.rectangle = {x0, y0, grey.shape(1), grey.shape(0)};
   owned.view.grey = grey.data();
-  if (depth) {
-    check(*depth, "depth", 2);
-    owned.view.depth = depth->data();
-  }
-  if (normal) {
-    check(*normal, "normal", 3);
-    if (normal->shape(0) != 3) throw py::value_error("normal must have 3 planes");
-    owned.view.normal = normal->data();
+  if (inverse_depth) {
+    CheckDimensions(*inverse_depth, 2, "inverse_depth");
+    if (inverse_depth->shape(0) != grey.shape(0) || inverse_depth->shape(1) != grey.shape(1)) {
+      throw py::value_error("inverse_depth must have the size of grey");
+    }
+    owned.view.inverse_depth = inverse_depth->data();
   }
   owned.grey = std::move(grey);
-  owned.depth = std::move(depth);
-  owned.normal = std::move(normal);
+  owned.inverse_depth = std::move(inverse_depth);
   return owned;
 }
 
-py::tuple RunPatchMatch(const OwnedViewWindow& reference,
-                        const std::vector<OwnedViewWindow>& sources, const Array<double>& points,
-                        const PatchMatchOptions& options) {
+struct OwnedStartMaps {
+  StartMaps maps;
+  Array<float> depth, normal;
+  Array<uint32_t> views;
+};
+
+OwnedStartMaps MakeStartMaps(int level, int64_t x0, int64_t y0, Array<float> depth,
+                             Array<float> normal, Array<uint32_t> views) {
+  CheckDimensions(depth, 2, "depth");
+  CheckDimensions(normal, 3, "normal");
+  CheckDimensions(views, 2, "views");
+  const py::ssize_t height = depth.shape(0), width = depth.shape(1);
+  if (normal.shape(0) != 3 || normal.shape(1) != height || normal.shape(2) != width ||
+      views.shape(0) != height || views.shape(1) != width) {
+    throw py::value_error("normal (3 planes) and views must have the size of depth");
+  }
+  OwnedStartMaps owned;
+  owned.maps = {level, {x0, y0, width, height}, depth.data(), normal.data(), views.data()};
+  owned.depth = std::move(depth);
+  owned.normal = std::move(normal);
+  owned.views = std::move(views);
+  return owned;
+}
+
+py::dict RunPatchMatch(const OwnedViewWindow& reference,
+                       const std::vector<std::optional<OwnedViewWindow>>& sources, int block_side,
+                       const Array<uint32_t>& allowed, const Array<float>& min_depth,
+                       const Array<float>& max_depth, const Array<double>& points,
+                       const std::optional<OwnedStartMaps>& start,
+                       const PatchMatchOptions& options) {
   CheckDimensions(points, 2, "points");
   if (points.shape(1) != 3) throw py::value_error("points must have 3 columns: x, y, depth");
   std::vector<SparsePoint> sparse;
   for (py::ssize_t i = 0; i < points.shape(0); ++i) {
     sparse.push_back({points.at(i, 0), points.at(i, 1), points.at(i, 2)});
   }
+  CheckDimensions(allowed, 2, "allowed");
+  for (const Array<float>* depth : {&min_depth, &max_depth}) {
+    CheckDimensions(*depth, 2, "the range of depth");
+    if (depth->shape(0) != allowed.shape(0) || depth->shape(1) != allowed.shape(1)) {
+      throw py::value_error("min_depth and max_depth must have the size of allowed");
+    }
+  }
+  const ViewBlocks blocks{block_side,     int(allowed.shape(1)), int(allowed.shape(0)),
+                          allowed.data(), min_depth.data(),      max_depth.data()};
   std::vector<ViewWindow> views;
-  for (const OwnedViewWindow& source : sources) views.push_back(source.view);
+  for (const auto& source : sources) views.push_back(source ? source->view : ViewWindow{});
   PatchMatchResult result;
   {
     py::gil_scoped_release release;
-    result = PatchMatchSir(reference.view, views, sparse, options);
+    result = PatchMatchSir(reference.view, views, blocks, sparse, start ? &start->maps : nullptr,
+                           options);
   }
   const py::ssize_t height = reference.view.rectangle.height,
                     width = reference.view.rectangle.width;
+  py::dict maps;
+  maps["depth"] = ToArray(std::move(result.depth), {height, width});
+  maps["normal"] = ToArray(std::move(result.normal), {3, height, width});
+  maps["views"] = ToArray(std::move(result.views), {height, width});
+  maps["cost"] = ToArray(std::move(result.cost), {height, width});
+  maps["texture"] = ToArray(std::move(result.texture), {height, width});
+  maps["num_seeing"] = ToArray(std::move(result.num_seeing), {height, width});
+  maps["num_consistent"] = ToArray(std::move(result.num_consistent), {height, width});
+  return maps;
+}
+
+py::tuple RunCompletePlanes(int level, int64_t x0, int64_t y0, const Eigen::Matrix3d& intrinsics,
+                            const Array<uint8_t>& grey, const Array<float>& depth,
+                            const Array<float>& normal, const Array<uint32_t>& views,
+                            const Array<float>& texture, const Array<uint8_t>& num_consistent,
+                            const Array<double>& source_centres,
+                            const PlanarCompletionOptions& options) {
+  CheckDimensions(source_centres, 2, "source_centres");
+  if (source_centres.shape(1) != 3) throw py::value_error("source_centres must have 3 columns");
+  std::vector<Eigen::Vector3d> centres;
+  for (py::ssize_t i = 0; i < source_centres.shape(0); ++i) {
+    centres.emplace_back(source_centres.at(i, 0), source_centres.at(i, 1), source_centres.at(i, 2));
+  }
+  CheckDimensions(grey, 2, "grey");
+  const py::ssize_t height = grey.shape(0), width = grey.shape(1);
+  const auto check = [&](const auto& map, const char* name) {
+    CheckDimensions(map, 2, name);
+    if (map.shape(0) != height || map.shape(1) != width) {
+      throw py::value_error(std::string(name) + " must have the size of grey");
+    }
+  };
+  check(depth, "depth");
+  check(views, "views");
+  check(texture, "texture");
+  check(num_consistent, "num_consistent");
+  CheckDimensions(normal, 3, "normal");
+  if (normal.shape(0) != 3 || normal.shape(1) != height || normal.shape(2) != width) {
+    throw py::value_error("normal must have 3 planes of the size of grey");
+  }
+  const CompletionMaps maps{level,
+                            {x0, y0, width, height},
+                            intrinsics,
+                            grey.data(),
+                            depth.data(),
+                            normal.data(),
+                            views.data(),
+                            texture.data(),
+                            num_consistent.data()};
+  PlanarCompletion result;
+  {
+    py::gil_scoped_release release;
+    result = CompletePlanes(maps, centres, options);
+  }
   return py::make_tuple(ToArray(std::move(result.depth), {height, width}),
                         ToArray(std::move(result.normal), {3, height, width}),
-                        ToArray(std::move(result.cost), {height, width}),
-                        ToArray(std::move(result.num_seeing), {height, width}),
-                        ToArray(std::move(result.num_consistent), {height, width}));
+                        ToArray(std::move(result.completed), {height, width}));
+}
+
+PlaneMap MakePlaneMap(const Array<float>& depth, const Array<float>& normal,
+                      const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0) {
+  CheckDimensions(depth, 2, "depth");
+  CheckDimensions(normal, 3, "normal");
+  const py::ssize_t height = depth.shape(0), width = depth.shape(1);
+  if (normal.shape(0) != 3 || normal.shape(1) != height || normal.shape(2) != width) {
+    throw py::value_error("normal must have 3 planes of the size of depth");
+  }
+  return {{x0, y0, width, height}, intrinsics, depth.data(), normal.data()};
+}
+
+py::array_t<uint8_t> RunFindSpeckles(const Array<float>& depth, const Array<float>& normal,
+                                     const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0,
+                                     double step, int64_t min_pixels) {
+  const PlaneMap map = MakePlaneMap(depth, normal, intrinsics, x0, y0);
+  std::vector<uint8_t> speckle;
+  {
+    py::gil_scoped_release release;
+    speckle = FindSpeckles(map, {step, min_pixels});
+  }
+  return ToArray(std::move(speckle), {depth.shape(0), depth.shape(1)});
+}
+
+py::array_t<float> RunCoplanarShares(const Array<float>& depth, const Array<float>& normal,
+                                     const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0) {
+  const PlaneMap map = MakePlaneMap(depth, normal, intrinsics, x0, y0);
+  std::vector<float> shares;
+  {
+    py::gil_scoped_release release;
+    shares = CoplanarShares(map);
+  }
+  return ToArray(std::move(shares), {depth.shape(0), depth.shape(1)});
 }
 
 }  // namespace
@@ -84,14 +198,11 @@ py::tuple RunPatchMatch(const OwnedViewWindow& reference,
 void BindStereo(py::module_& module) {
   py::class_<PatchMatchOptions>(module, "PatchMatchOptions")
       .def(py::init<>())
-      .def_readwrite("min_depth", &PatchMatchOptions::min_depth)
-      .def_readwrite("max_depth", &PatchMatchOptions::max_depth)
-      .def_readwrite("levels", &PatchMatchOptions::levels)
-      .def_readwrite("coarsest_iterations", &PatchMatchOptions::coarsest_iterations)
-      .def_readwrite("middle_iterations", &PatchMatchOptions::middle_iterations)
-      .def_readwrite("native_iterations", &PatchMatchOptions::native_iterations)
-      .def_readwrite("geometric_iterations", &PatchMatchOptions::geometric_iterations)
-      .def_readwrite("native_offers", &PatchMatchOptions::native_offers)
+      .def_readwrite("iterations", &PatchMatchOptions::iterations)
+      .def_readwrite("offers", &PatchMatchOptions::offers)
+      .def_readwrite("all_sources", &PatchMatchOptions::all_sources)
+      .def_readwrite("select_views", &PatchMatchOptions::select_views)
+      .def_readwrite("largest_step", &PatchMatchOptions::largest_step)
       .def_readwrite("top_views", &PatchMatchOptions::top_views)
       .def_readwrite("color_sigma", &PatchMatchOptions::color_sigma)
       .def_readwrite("space_sigma", &PatchMatchOptions::space_sigma)
@@ -103,17 +214,57 @@ void BindStereo(py::module_& module) {
       .def_readwrite("threads", &PatchMatchOptions::threads)
       .def("validate", &PatchMatchOptions::Validate);
 
+  py::class_<PlanarCompletionOptions>(module, "PlanarCompletionOptions")
+      .def(py::init<>())
+      .def_readwrite("grey_step", &PlanarCompletionOptions::grey_step)
+      .def_readwrite("weak_texture", &PlanarCompletionOptions::weak_texture)
+      .def_readwrite("min_consistent", &PlanarCompletionOptions::min_consistent)
+      .def_readwrite("tolerance", &PlanarCompletionOptions::tolerance)
+      .def_readwrite("min_share", &PlanarCompletionOptions::min_share)
+      .def_readwrite("min_samples", &PlanarCompletionOptions::min_samples)
+      .def_readwrite("max_error", &PlanarCompletionOptions::max_error)
+      .def_readwrite("threads", &PlanarCompletionOptions::threads);
+
   py::class_<OwnedViewWindow>(module, "ViewWindow")
       .def(py::init(&MakeViewWindow), py::kw_only(), py::arg("intrinsics"),
-           py::arg("cam_from_world"), py::arg("x0"), py::arg("y0"), py::arg("grey").noconvert(),
-           py::arg("depth").noconvert() = py::none(), py::arg("normal").noconvert() = py::none());
+           py::arg("cam_from_world"), py::arg("level"), py::arg("x0"), py::arg("y0"),
+           py::arg("grey").noconvert(), py::arg("inverse_depth").noconvert() = py::none());
+  py::class_<OwnedStartMaps>(module, "StartMaps")
+      .def(py::init(&MakeStartMaps), py::kw_only(), py::arg("level"), py::arg("x0"), py::arg("y0"),
+           py::arg("depth").noconvert(), py::arg("normal").noconvert(),
+           py::arg("views").noconvert());
 
-  module.def("patch_match", &RunPatchMatch, py::arg("reference"), py::arg("sources"),
-             py::arg("points").noconvert(), py::arg("options"));
-  module.def("patch_match_bytes_per_pixel", [](bool geometric) {
-    const PatchMatchMemory memory = PatchMatchBytesPerPixel(geometric);
+  module.def("patch_match", &RunPatchMatch, py::kw_only(), py::arg("reference"), py::arg("sources"),
+             py::arg("block_side"), py::arg("allowed").noconvert(),
+             py::arg("min_depth").noconvert(), py::arg("max_depth").noconvert(),
+             py::arg("points").noconvert(), py::arg("start"), py::arg("options"));
+  module.def("complete_planes", &RunCompletePlanes, py::kw_only(), py::arg("level"), py::arg("x0"),
+             py::arg("y0"), py::arg("intrinsics"), py::arg("grey").noconvert(),
+             py::arg("depth").noconvert(), py::arg("normal").noconvert(),
+             py::arg("views").noconvert(), py::arg("texture").noconvert(),
+             py::arg("num_consistent").noconvert(), py::arg("source_centres").noconvert(),
+             py::arg("options"));
+  module.def("patch_match_margin", &PatchMatchMargin, py::arg("iterations"));
+  module.def(
+      "shrunk",
+      [](const Array<uint8_t>& grey, int factor) {
+        CheckDimensions(grey, 2, "grey");
+        if (factor < 1) throw py::value_error("factor must be 1 or more");
+        const int height = int(grey.shape(0)), width = int(grey.shape(1));
+        return ToArray(patch_match::Shrunk(grey.data(), width, height, factor),
+                       {(height + factor - 1) / factor, (width + factor - 1) / factor});
+      },
+      py::arg("grey").noconvert(), py::arg("factor"));
+  module.def("patch_match_bytes_per_pixel", [] {
+    const PatchMatchMemory memory = PatchMatchBytesPerPixel();
     return py::make_tuple(memory.per_reference_pixel, memory.per_source_pixel);
   });
+  module.def("find_speckles", &RunFindSpeckles, py::arg("depth").noconvert(),
+             py::arg("normal").noconvert(), py::kw_only(), py::arg("intrinsics"), py::arg("x0"),
+             py::arg("y0"), py::arg("step"), py::arg("min_pixels"));
+  module.def("coplanar_shares", &RunCoplanarShares, py::arg("depth").noconvert(),
+             py::arg("normal").noconvert(), py::kw_only(), py::arg("intrinsics"), py::arg("x0"),
+             py::arg("y0"));
   module.def("instruction_set", [] { return patch_match::BestKernels().name; });
 }
 

@@ -26,19 +26,25 @@ Eigen::Vector2f Gradient(const Level& level, double x, double y, double rho,
 PlaneArrays::PlaneArrays(const Level& level)
     : width(level.width),
       height(level.height),
-      rho(size_t(width) * height, 0.5f * (level.min_inverse_depth + level.max_inverse_depth)),
+      rho(size_t(width) * height),
       gx(rho.size(), 0),
       gy(rho.size(), 0),
       cost(rho.size(), 4 * kWorstCost),
-      views(rho.size(), 0) {}
+      views(rho.size(), 0) {
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      const Block& block = level.BlockAt(x, y);
+      rho[size_t(y) * width + x] = 0.5f * (block.min_inverse_depth + block.max_inverse_depth);
+    }
+  }
+}
 
-RandomPlanes::RandomPlanes(const Level& level, const std::vector<SparsePoint>& points)
+RandomPlanes::RandomPlanes(const Level& level, const std::vector<SparsePoint>& points, double scale)
     : level_(level), first_column_(level.x0 / kCell), first_row_(level.y0 / kCell) {
   if (points.empty()) return;
   cells_across_ = (level.x0 + level.width - 1) / kCell - first_column_ + 1;
   const int cells_down = (level.y0 + level.height - 1) / kCell - first_row_ + 1;
   nearest_rho_.resize(size_t(cells_across_) * cells_down);
-  const double scale = 1.0 / (1 << level.level);
 #pragma omp parallel for schedule(dynamic)
   for (int row = 0; row < cells_down; ++row) {
     for (int column = 0; column < cells_across_; ++column) {
@@ -64,9 +70,10 @@ size_t RandomPlanes::CellOf(int x, int y) const {
 }
 
 void RandomPlanes::FillRow(int y, int candidate, const Planes& row) const {
-  const float low = level_.min_inverse_depth, high = level_.max_inverse_depth;
   const bool seeded = candidate < 2 && !nearest_rho_.empty();
   for (int x = 0; x < level_.width; ++x) {
+    const float low = level_.BlockAt(x, y).min_inverse_depth;
+    const float high = level_.BlockAt(x, y).max_inverse_depth;
     const uint64_t pixel = uint64_t(uint32_t(level_.y0 + y)) << 32 | uint32_t(level_.x0 + x);
     const auto draw = [&](int number) {
       return Uniform(Hash(level_.seed, pixel, (uint64_t(1) << 48) + 8 * candidate + number));
@@ -88,44 +95,35 @@ void RandomPlanes::FillRow(int y, int candidate, const Planes& row) const {
   }
 }
 
-CoarserPlanes::CoarserPlanes(const Level& level, const PlaneArrays& coarser)
-    : level_(level), coarser_(coarser) {}
+StartPlanes::StartPlanes(const Level& level, const StartMaps& start, bool doubled)
+    : level_(level), start_(start), doubled_(doubled) {}
 
-void CoarserPlanes::FillRow(int y, int candidate, const Planes& row) const {
-  // Pixel x of this level lies at x / 2 - 1/4 of the coarser one: between x / 2 and its neighbour
-  // on the side where x lies. Windows start at even pixels, so positions in the window serve.
-  const auto coarse = [](int position, bool other, int size) {
-    const int nearest = position / 2;
-    const int step = position % 2 == 0 ? -1 : 1;
-    return std::clamp(nearest + (other ? step : 0), 0, size - 1);
+void StartPlanes::FillRow(int y, int candidate, const Planes& row) const {
+  const Rectangle& maps = start_.rectangle;
+  const size_t area = maps.Area();
+  // Pixel x lies at x / 2 - 1/4 of the coarser level: between x / 2 and its neighbour on that side.
+  const auto start_pixel = [&](int position, bool other, int64_t begin, int64_t size) {
+    int64_t pixel = position;
+    if (doubled_) pixel = position / 2 + (other ? (position % 2 == 0 ? -1 : 1) : 0);
+    return std::clamp(pixel - begin, int64_t(0), size - 1);
   };
-  const int cy = coarse(y, candidate & 2, coarser_.height);
+  // The centre of a pixel of the maps, in pixels of this level.
+  const auto centre = [&](int64_t pixel) { return doubled_ ? 2 * pixel + 0.5 : double(pixel); };
+  const int py = level_.y0 + y;
+  const int64_t sy = start_pixel(py, candidate & 2, maps.y0, maps.height);
   for (int x = 0; x < level_.width; ++x) {
-    const int cx = coarse(x, candidate & 1, coarser_.width);
-    const size_t at = size_t(cy) * coarser_.width + cx;
-    const float dx = 0.5f * float(x) - 0.25f - float(cx), dy = 0.5f * float(y) - 0.25f - float(cy);
-    row.rho[x] = coarser_.rho[at] + coarser_.gx[at] * dx + coarser_.gy[at] * dy;
-    row.gx[x] = 0.5f * coarser_.gx[at];
-    row.gy[x] = 0.5f * coarser_.gy[at];
-  }
-}
-
-GivenPlanes::GivenPlanes(const Level& level, const float* depth, const float* normal)
-    : level_(level), depth_(depth), normal_(normal) {}
-
-void GivenPlanes::FillRow(int y, int /*candidate*/, const Planes& row) const {
-  const size_t plane = size_t(level_.width) * level_.height;
-  for (int x = 0; x < level_.width; ++x) {
-    const size_t at = size_t(y) * level_.width + x;
-    if (depth_[at] <= 0) {
-      row.rho[x] = 0;  // refused by the depth range
-      row.gx[x] = row.gy[x] = 0;
-      continue;
-    }
-    const Eigen::Vector3d normal(normal_[at], normal_[at + plane], normal_[at + 2 * plane]);
-    const double rho = 1.0 / depth_[at];
-    const Eigen::Vector2f gradient = Gradient(level_, level_.x0 + x, level_.y0 + y, rho, normal);
-    row.rho[x] = float(rho);
+    const int px = level_.x0 + x;
+    const int64_t sx = start_pixel(px, candidate & 1, maps.x0, maps.width);
+    const size_t at = size_t(sy * maps.width + sx);
+    row.rho[x] = row.gx[x] = row.gy[x] = 0;
+    row.views[x] = start_.views[at];
+    if (!(start_.depth[at] > 0)) continue;
+    const Eigen::Vector3d normal(start_.normal[at], start_.normal[at + area],
+                                 start_.normal[at + 2 * area]);
+    const double cx = centre(maps.x0 + sx), cy = centre(maps.y0 + sy);
+    const double rho = 1.0 / start_.depth[at];
+    const Eigen::Vector2f gradient = Gradient(level_, cx, cy, rho, normal);
+    row.rho[x] = float(rho + gradient.x() * (px - cx) + gradient.y() * (py - cy));
     row.gx[x] = gradient.x();
     row.gy[x] = gradient.y();
   }

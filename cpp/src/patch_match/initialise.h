@@ -1,6 +1,5 @@
-// Where the planes of a level start: at the coarsest from the sparse points and at random over the
-// range, at finer levels from the four nearest planes of the coarser one, in the geometric pass
-// from the last pass.
+// Where the planes of a pass start: in the first from the sparse points and at random over the
+// range, later from the maps of the pass before, at the same level or one level coarser.
 #pragma once
 
 #include <vector>
@@ -15,7 +14,7 @@ struct PlaneArrays {
   int width = 0;
   int height = 0;
   std::vector<float> rho, gx, gy, cost;
-  std::vector<uint16_t> views;
+  std::vector<uint32_t> views;
 
   PlaneArrays() = default;
   // All planes in the middle of the range, worse than anything.
@@ -23,8 +22,9 @@ struct PlaneArrays {
   Planes View() { return {rho.data(), gx.data(), gy.data(), cost.data(), views.data()}; }
 };
 
-// Writes into the first three rows-of-`level.width` arrays of `row` the planes that candidate
-// `candidate` proposes for row y.
+// Writes into the rows of `level.width` pixels of `row` the planes, and if it has `views` the
+// sources, that candidate `candidate` proposes for row y; inverse depth is 0 where it proposes
+// none.
 class PlaneSource {
  public:
   virtual ~PlaneSource() = default;
@@ -36,7 +36,8 @@ class PlaneSource {
 // normals are cosine-weighted about the viewing ray.
 class RandomPlanes : public PlaneSource {
  public:
-  RandomPlanes(const Level& level, const std::vector<SparsePoint>& points);
+  // `scale`: pixels of the level per native pixel.
+  RandomPlanes(const Level& level, const std::vector<SparsePoint>& points, double scale);
   int num_candidates() const override { return 4; }
   void FillRow(int y, int candidate, const Planes& row) const override;
 
@@ -51,29 +52,19 @@ class RandomPlanes : public PlaneSource {
   std::vector<float> nearest_rho_;  // per cell; empty without points
 };
 
-// The planes of the coarser level; candidate 0 is the nearest one.
-class CoarserPlanes : public PlaneSource {
+// The planes of the pass before: the pixel's own at the same level, the four nearest of a coarser
+// one; candidate 0 is the nearest.
+class StartPlanes : public PlaneSource {
  public:
-  CoarserPlanes(const Level& level, const PlaneArrays& coarser);
-  int num_candidates() const override { return 4; }
+  // `doubled`: the maps are one level coarser.
+  StartPlanes(const Level& level, const StartMaps& start, bool doubled);
+  int num_candidates() const override { return doubled_ ? 4 : 1; }
   void FillRow(int y, int candidate, const Planes& row) const override;
 
  private:
   const Level& level_;
-  const PlaneArrays& coarser_;
-};
-
-// The depth and normal maps of the last pass; pixels without depth keep what they have.
-class GivenPlanes : public PlaneSource {
- public:
-  GivenPlanes(const Level& level, const float* depth, const float* normal);
-  int num_candidates() const override { return 1; }
-  void FillRow(int y, int candidate, const Planes& row) const override;
-
- private:
-  const Level& level_;
-  const float* depth_;
-  const float* normal_;
+  const StartMaps& start_;
+  bool doubled_;
 };
 
 }  // namespace sirpy::patch_match

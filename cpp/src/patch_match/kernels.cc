@@ -10,7 +10,8 @@
 namespace sirpy::patch_match::SIRPY_ISA {
 
 constexpr float kRejected = 3 * kWorstCost;  // worse than any plane that can be compared
-constexpr float kLeastCosine = 0.14f;        // planes seen at more than 82 degrees are refused
+constexpr float kUnbounded = 1e30f;
+constexpr float kLeastCosine = 0.14f;  // planes seen at more than 82 degrees are refused
 
 // Planes inside the depth range that face the camera less obliquely than kLeastCosine. The normal
 // is along K^T m, m the plane's coefficients of inverse depth: (fx gx, fy gy, rho at the principal
@@ -22,66 +23,84 @@ SIRPY_INLINE Ints IsPossible(const Level& level, const Group& group, const Plane
   const Floats rx = dx * (1.f / level.fx), ry = dy * (1.f / level.fy);
   const Floats limit =
       kLeastCosine * kLeastCosine * (nx * nx + ny * ny + nz * nz) * (rx * rx + ry * ry + 1.f);
-  return (plane.rho >= level.min_inverse_depth) & (plane.rho <= level.max_inverse_depth) &
+  return (plane.rho >= group.min_rho) & (plane.rho <= group.max_rho) &
          (plane.rho * plane.rho > limit);
 }
 
 // Where there is little texture the coarser level, which saw a wider neighbourhood, has its say: a
 // deviation from it costs in place of the NCC (after OpenMVS, Cernea 2020).
-SIRPY_INLINE Floats WithPrior(const Level& level, const KernelOptions& options, const Group& group,
-                              const Plane& plane, Floats cost, Floats shift) {
-  if (!level.prior) return cost;
-  Floats prior;
+struct Prior {
+  Floats rho;
+  Floats trust;  // in [0, 1]; 0 where nothing is known
+};
+
+SIRPY_INLINE Prior LoadPrior(const Level& level, const KernelOptions& options, const Group& group) {
+  Prior prior{};
+  if (!level.prior) return prior;
   for (int lane = 0; lane < kLanes; ++lane) {
-    prior[lane] = level.prior[int64_t(group.y) * level.width + group.column[lane]];
+    prior.rho[lane] = level.prior[int64_t(group.y) * level.width + group.column[lane]];
   }
   const Floats variance = group.spread / group.weight_sum;
-  const Floats trust = Exp(variance * (-1.f / options.prior_variance));
-  const Floats deviation =
-      Select(shift > 0.f, Min(Abs(plane.rho - prior) * shift * (1.f / 3.f), Splat(1)), Splat(1));
-  return Select(prior > 0.f, cost + trust * (deviation - cost), cost);
+  prior.trust = Select(prior.rho > 0.f, Exp(variance * (-1.f / options.prior_variance)), Floats{});
+  return prior;
 }
 
-// The NCC costs of a plane in every source.
-SIRPY_FUNCTION void SourceCosts(const Level& level, const Group& group, const Plane& plane,
-                                Floats costs[kMaxSources]) {
-  for (int j = 0; j < level.num_sources; ++j) {
-    costs[j] = NccCost(level, group, j, WarpPatch(level, group, j, plane));
+// The NCC costs of a plane in the sources of each lane's set.
+SIRPY_FUNCTION void SourceCosts(const Level& level, const Group& group, Words sources,
+                                const Plane& plane, Floats costs[kMaxSources]) {
+  for (Sources j{UnionOf(sources)}; j.more(); j.next()) {
+    const Floats cost = NccCost(level, group, *j, WarpPatch(level, group, *j, plane));
+    costs[*j] = Select(Has(sources, *j), cost, Splat(kWorstCost));
   }
 }
 
 struct Cost {
   Floats value;
-  Floats shift;  // pixels of motion in the sources per unit of inverse depth, their mean
+  Floats shift;        // pixels of motion in the sources per unit of inverse depth, their mean
+  Floats photometric;  // the mean of the NCC costs alone
 };
 
 // The cost of a plane: the weighted mean over the used sources of the NCC cost (of `known`, where
-// they have been computed) and, where sources have depths, of their disagreement.
+// they have been computed) and, where sources have depths, of their disagreement. Costs only grow
+// with each source, so the sum ends where no lane can stay below `bound`.
 SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, const Group& group,
-                              const ViewWeights& views, const Plane& plane,
-                              const Floats* known = nullptr) {
-  Floats photometric{}, geometric{}, shift{}, weights{}, seen{};
-  for (int j = 0; j < level.num_sources; ++j) {
-    if (!views.any[j]) continue;
-    const Warp warp = WarpPatch(level, group, j, plane);
-    photometric += views.weight[j] * (known ? known[j] : NccCost(level, group, j, warp));
-    if (level.sources[j].inverse_depth) {
-      const Floats error = ForwardBackwardError(level, group, j, warp);
-      const Floats most = Splat(options.max_geometric_error);
-      geometric += views.weight[j] * Select(error < 0.f, most, Min(error, most));
-    }
-    shift += views.weight[j] * Select(warp.inside, warp.shift, Floats{});
-    seen += Select(warp.inside, views.weight[j], Floats{});
-    weights += views.weight[j];
-  }
+                              const Prior& prior, const ViewWeights& views, const Plane& plane,
+                              Floats bound, const Floats* known = nullptr) {
+  const Cost rejected{Splat(kRejected), Floats{}, Splat(kWorstCost)};
+  const Ints possible = IsPossible(level, group, plane);
+  if (!Any(possible)) return rejected;
+  Floats weights{};
+  for (Sources j{views.any}; j.more(); j.next()) weights += views.weight[*j];
   const Ints compared = weights > 0.f;
   const Floats scale = 1.f / Select(compared, weights, Splat(1));
+  const Floats photometric_scale = (1.f - prior.trust) * scale;
+  const Floats geometric_scale = options.geometric_weight * scale;
+
+  Floats value = Select(compared, Floats{}, (1.f - prior.trust) * kWorstCost), shift{}, seen{},
+         photometric{};
+  for (Sources j{views.any}; j.more(); j.next()) {
+    const Floats weight = views.weight[*j];
+    const Warp warp = WarpPatch(level, group, *j, plane);
+    const Floats ncc_cost = known ? known[*j] : NccCost(level, group, *j, warp);
+    value += photometric_scale * weight * ncc_cost;
+    photometric += weight * ncc_cost;
+    if (level.sources[*j].inverse_depth) {
+      const Floats error = ForwardBackwardError(level, group, *j, warp);
+      const Floats most = Splat(options.max_geometric_error);
+      value += geometric_scale * weight * Select(error < 0.f, most, Min(error, most));
+    }
+    if (!Any(possible & (value < bound))) return rejected;
+    shift += weight * Select(warp.inside, warp.shift, Floats{});
+    seen += Select(warp.inside, weight, Floats{});
+  }
   Cost cost;
   cost.shift = shift / Select(seen > 0.f, seen, Splat(1));  // 0 where no source sees the patch
-  const Floats ncc = Select(compared, photometric * scale, Splat(kWorstCost));
-  cost.value = WithPrior(level, options, group, plane, ncc, cost.shift) +
-               options.geometric_weight * geometric * scale;
-  cost.value = Select(IsPossible(level, group, plane), cost.value, Splat(kRejected));
+  const Floats deviation =
+      Select(cost.shift > 0.f, Min(Abs(plane.rho - prior.rho) * cost.shift * (1.f / 3.f), Splat(1)),
+             Splat(1));
+  cost.value = Select(possible, value + prior.trust * deviation, Splat(kRejected));
+  cost.photometric = Select(compared & possible, photometric / Select(compared, weights, Splat(1)),
+                            Splat(kWorstCost));
   return cost;
 }
 
@@ -93,40 +112,43 @@ SIRPY_INLINE void Keep(Ints better, const Plane& plane, const Cost& cost, Plane*
   best->gy = Select(better, plane.gy, best->gy);
   best_cost->value = Select(better, cost.value, best_cost->value);
   best_cost->shift = Select(better, cost.shift, best_cost->shift);
+  best_cost->photometric = Select(better, cost.photometric, best_cost->photometric);
 }
 
 SIRPY_INLINE void Store(const Level& level, const Group& group, const Plane& plane, Floats cost,
-                        const ViewWeights* views, Planes* planes) {
+                        Words views, Planes* planes) {
   for (int lane = 0; lane < group.count; ++lane) {
     const int64_t at = int64_t(group.y) * level.width + group.column[lane];
     planes->rho[at] = plane.rho[lane];
     planes->gx[at] = plane.gx[lane];
     planes->gy[at] = plane.gy[lane];
     planes->cost[at] = cost[lane];
-    if (!views) continue;
-    uint16_t mask = 0;
-    for (int j = 0; j < level.num_sources; ++j) mask |= uint16_t((views->used[j][lane] & 1) << j);
-    planes->views[at] = mask;
+    planes->views[at] = views[lane];
   }
 }
 
-SIRPY_INLINE ViewWeights StoredViews(const Level& level, const Planes& planes, const Group& group) {
-  ViewWeights views;
-  for (int j = 0; j < level.num_sources; ++j) {
-    for (int lane = 0; lane < kLanes; ++lane) {
-      const int64_t at = int64_t(group.y) * level.width + group.column[lane];
-      views.used[j][lane] = (planes.views[at] >> j & 1) ? -1 : 0;
-    }
-    views.weight[j] = Select(views.used[j], Splat(1), Floats{});
-    views.any[j] = Any(views.used[j]);
+SIRPY_INLINE Words StoredViews(const Level& level, const Planes& planes, const Group& group) {
+  Words views;
+  for (int lane = 0; lane < kLanes; ++lane) {
+    views[lane] = planes.views[int64_t(group.y) * level.width + group.column[lane]];
   }
   return views;
+}
+
+// Where a lane has no source: those that suit its present plane best.
+SIRPY_INLINE void ChooseWhereNone(const Level& level, const Group& group, int count,
+                                  const Plane& plane, ViewWeights* views) {
+  const Ints none = views->used == 0u;
+  if (!Any(none)) return;
+  Floats costs[kMaxSources];
+  SourceCosts(level, group, group.allowed, plane, costs);
+  Replace(none, BestViews(UnionOf(group.allowed), count, costs), views);
 }
 
 // Random numbers of the group's pixels for one draw.
 SIRPY_INLINE Floats Draw(const Level& level, const Group& group, int iteration, int draw) {
   Floats value;
-  const uint64_t what = uint64_t(level.level) << 32 | uint64_t(iteration) << 16 | uint64_t(draw);
+  const uint64_t what = uint64_t(iteration) << 16 | uint64_t(draw);
   for (int lane = 0; lane < kLanes; ++lane) {
     const uint64_t pixel =
         uint64_t(uint32_t(level.y0 + group.y)) << 32 | uint32_t(level.x0 + group.column[lane]);
@@ -142,48 +164,46 @@ SIRPY_INLINE Floats LogUniform(Floats uniform, float least, float most) {
   return Select(uniform < 0.5f, -size, size);
 }
 
-// Candidates of the initialisation: for each pixel of the row the plane of `candidates` replaces
-// the present one where it costs less. Without neighbours to ask, a plane is judged by the sources
-// that it looks best in.
-void EvaluateRow(const Level& level, const KernelOptions& options, const Planes& candidates,
-                 Planes* planes, int y) {
+// Candidates of the initialisation: for each pixel of the row the best of `count` planes. A plane
+// without sources is judged by those that it looks best in.
+void EvaluateRow(const Level& level, const KernelOptions& options, const Planes* candidates,
+                 int count, Planes* planes, int y) {
   for (int colour = 0; colour < 2; ++colour) {
     for (int first = colour; first < level.width; first += 2 * kLanes) {
       const Group group = LoadGroup(level, options, first, y);
-      Plane plane;
-      for (int lane = 0; lane < kLanes; ++lane) {
-        plane.rho[lane] = candidates.rho[group.column[lane]];
-        plane.gx[lane] = candidates.gx[group.column[lane]];
-        plane.gy[lane] = candidates.gy[group.column[lane]];
-      }
-      Floats costs[kMaxSources];
-      SourceCosts(level, group, plane, costs);
-      ViewWeights views = BestViews(level.num_sources, 3, costs);
-      const Cost cost = PlaneCost(level, options, group, views, plane, costs);
+      const Prior prior = LoadPrior(level, options, group);
       Plane best = LoadPlanes(level, *planes, group);
-      Floats present{};
-      for (int lane = 0; lane < kLanes; ++lane) {
-        present[lane] = planes->cost[int64_t(y) * level.width + group.column[lane]];
+      Words best_views{};
+      Cost best_cost{Splat(4 * kWorstCost), Floats{}, Floats{}};
+      for (int i = 0; i < count; ++i) {
+        Plane plane;
+        Words sources;
+        for (int lane = 0; lane < kLanes; ++lane) {
+          const int column = group.column[lane];
+          plane.rho[lane] = candidates[i].rho[column];
+          plane.gx[lane] = candidates[i].gx[column];
+          plane.gy[lane] = candidates[i].gy[column];
+          sources[lane] = candidates[i].views[column];
+        }
+        ViewWeights views = EqualWeights(sources & group.allowed);
+        ChooseWhereNone(level, group, 3, plane, &views);
+        const Cost cost = PlaneCost(level, options, group, prior, views, plane, best_cost.value);
+        const Ints better = (cost.value < kRejected) & (cost.value < best_cost.value);
+        Keep(better, plane, cost, &best, &best_cost);
+        best_views = (views.used & (Words)better) | (best_views & ~(Words)better);
       }
-      Cost best_cost{present, Floats{}};
-      const Ints better = (cost.value < kRejected) & (cost.value < best_cost.value);
-      Keep(better, plane, cost, &best, &best_cost);
-      const ViewWeights before = StoredViews(level, *planes, group);
-      for (int j = 0; j < level.num_sources; ++j) {
-        views.used[j] = (better & views.used[j]) | (~better & before.used[j]);
-      }
-      Store(level, group, best, best_cost.value, &views, planes);
+      Store(level, group, best, best_cost.value, best_views, planes);
     }
   }
 }
 
 // Steps are sizes in source pixels, so they suit any focal length, baseline and height.
 SIRPY_INLINE void Refine(const Level& level, const KernelOptions& options, const Planes& planes,
-                         const Group& group, const ViewWeights& views, int iteration, Plane* best,
-                         Cost* best_cost) {
-  const float largest = (level.coarsest ? 8.f : 2.f) / float(1 << (iteration < 4 ? iteration : 4));
+                         const Group& group, const Prior& prior, const ViewWeights& views,
+                         int iteration, Plane* best, Cost* best_cost) {
+  const float largest = level.largest_step / float(1 << (iteration < 4 ? iteration : 4));
   const auto attempt = [&](const Plane& plane) {
-    const Cost cost = PlaneCost(level, options, group, views, plane);
+    const Cost cost = PlaneCost(level, options, group, prior, views, plane, best_cost->value);
     Keep(cost.value < best_cost->value, plane, cost, best, best_cost);
   };
   const auto draw = [&](int number) { return Draw(level, group, iteration, number); };
@@ -202,10 +222,9 @@ SIRPY_INLINE void Refine(const Level& level, const KernelOptions& options, const
   attempt(with_tilt(*best, 1));
   attempt(with_tilt(with_step(*best, 3), 4));
   attempt(WithNeighbourSlope(level, planes, group, *best));
-  if (level.coarsest && iteration < 2) {
+  if (level.everywhere && iteration < 2) {
     Plane anywhere = *best;
-    anywhere.rho =
-        level.min_inverse_depth + draw(6) * (level.max_inverse_depth - level.min_inverse_depth);
+    anywhere.rho = group.min_rho + draw(6) * (group.max_rho - group.min_rho);
     attempt(anywhere);
   }
 }
@@ -216,80 +235,93 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
   const int first_of_row = (colour + level.x0 + level.y0 + y) & 1;
   for (int first = first_of_row; first < level.width; first += 2 * kLanes) {
     const Group group = LoadGroup(level, options, first, y);
-    const Offers offers = CollectOffers(level, *planes, group, level.offers);
-    Floats costs[8][kMaxSources];
-    for (int i = 0; i < offers.count; ++i) SourceCosts(level, group, offers.plane[i], costs[i]);
-    ViewWeights views =
-        SelectViews(level, options, *planes, group, costs, offers.valid, offers.count, iteration);
-    Plane best = LoadPlanes(level, *planes, group);
-    const Ints none = NoView(level.num_sources, views);
-    if (Any(none)) {  // no source pleases the neighbours: those that suit the present plane best
-      Floats present[kMaxSources];
-      SourceCosts(level, group, best, present);
-      Replace(level.num_sources, none, BestViews(level.num_sources, 2, present), &views);
+    const Prior prior = LoadPrior(level, options, group);
+    Offers offers = CollectOffers(level, *planes, group, level.offers);
+    for (int i = 0; i < offers.count; ++i) {
+      offers.valid[i] &= IsPossible(level, group, offers.plane[i]);
     }
-    Cost best_cost = PlaneCost(level, options, group, views, best);
+    Plane best = LoadPlanes(level, *planes, group);
+    const Words used = StoredViews(level, *planes, group);
+    const Words candidates =
+        level.all_sources ? group.allowed : group.allowed & (used | offers.views);
+    Floats costs[8][kMaxSources];
+    ViewWeights views;
+    if (level.select_views) {
+      for (int i = 0; i < offers.count; ++i) {
+        SourceCosts(level, group, candidates, offers.plane[i], costs[i]);
+      }
+      views = SelectViews(level, options, *planes, group, candidates, costs, offers.valid,
+                          offers.count, iteration);
+    } else {
+      views = EqualWeights(used);
+    }
+    ChooseWhereNone(level, group, 2, best, &views);
+    // What a lane falls back on may not be among the costs that were computed.
+    const bool all_known = level.select_views && !Any((views.used & ~candidates) != 0u);
+    Cost best_cost = PlaneCost(level, options, group, prior, views, best, Splat(kUnbounded));
     for (int i = 0; i < offers.count; ++i) {
       const Plane& plane = offers.plane[i];
-      const Cost cost = PlaneCost(level, options, group, views, plane, costs[i]);
+      const Cost cost = PlaneCost(level, options, group, prior, views, plane, best_cost.value,
+                                  all_known ? costs[i] : nullptr);
       Keep(offers.valid[i] & (cost.value < best_cost.value), plane, cost, &best, &best_cost);
     }
-    Refine(level, options, *planes, group, views, iteration, &best, &best_cost);
-    Store(level, group, best, best_cost.value, &views, planes);
+    Refine(level, options, *planes, group, prior, views, iteration, &best, &best_cost);
+    Store(level, group, best, best_cost.value, views.used, planes);
   }
 }
 
 // Sub-pixel depth: the vertex of the parabola through the costs half a pixel nearer and farther.
-void RefineRow(const Level& level, const KernelOptions& options, Planes* planes, int y) {
-  for (int colour = 0; colour < 2; ++colour) {
-    for (int first = colour; first < level.width; first += 2 * kLanes) {
-      const Group group = LoadGroup(level, options, first, y);
-      const ViewWeights views = StoredViews(level, *planes, group);
-      Plane best = LoadPlanes(level, *planes, group);
-      Cost cost = PlaneCost(level, options, group, views, best);
-      const Floats step = 0.5f / Max(cost.shift, Splat(1e-20f));
-      const auto moved = [&](Floats steps) {
-        Plane plane = best;
-        plane.rho += steps * step;
-        return plane;
-      };
-      const Floats nearer = PlaneCost(level, options, group, views, moved(Splat(1))).value;
-      const Floats farther = PlaneCost(level, options, group, views, moved(Splat(-1))).value;
-      const Floats curvature = nearer - 2.f * cost.value + farther;
-      const Ints convex = curvature > 1e-6f;
-      const Floats offset = 0.5f * (farther - nearer) / Select(convex, curvature, Splat(1));
-      const Plane vertex = moved(Min(Max(offset, Splat(-1)), Splat(1)));
-      const Cost vertex_cost = PlaneCost(level, options, group, views, vertex);
-      Keep(convex & (vertex_cost.value < cost.value), vertex, vertex_cost, &best, &cost);
-      Store(level, group, best, cost.value, nullptr, planes);
-    }
-  }
+SIRPY_INLINE Cost RefineDepth(const Level& level, const KernelOptions& options, const Group& group,
+                              const ViewWeights& views, Plane* best) {
+  const Prior prior = LoadPrior(level, options, group);
+  const auto cost_of = [&](const Plane& plane) {
+    return PlaneCost(level, options, group, prior, views, plane, Splat(kUnbounded));
+  };
+  Cost cost = cost_of(*best);
+  const Floats step = 0.5f / Max(cost.shift, Splat(1e-20f));
+  const auto moved = [&](Floats steps) {
+    Plane plane = *best;
+    plane.rho += steps * step;
+    return plane;
+  };
+  const Floats nearer = cost_of(moved(Splat(1))).value;
+  const Floats farther = cost_of(moved(Splat(-1))).value;
+  const Floats curvature = nearer - 2.f * cost.value + farther;
+  const Ints convex = curvature > 1e-6f;
+  const Floats offset = 0.5f * (farther - nearer) / Select(convex, curvature, Splat(1));
+  const Plane vertex = moved(Min(Max(offset, Splat(-1)), Splat(1)));
+  const Cost vertex_cost = cost_of(vertex);
+  Keep(convex & (vertex_cost.value < cost.value), vertex, vertex_cost, best, &cost);
+  return cost;
 }
 
-void AssessRow(const Level& level, const KernelOptions& options, const Planes& planes,
+// What is known of the final planes of a row, after a last refinement.
+void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
                Assessment* assessment, int y) {
   for (int colour = 0; colour < 2; ++colour) {
     for (int first = colour; first < level.width; first += 2 * kLanes) {
       const Group group = LoadGroup(level, options, first, y);
-      const ViewWeights views = StoredViews(level, planes, group);
-      const Plane plane = LoadPlanes(level, planes, group);
-      Floats sum{}, weights{}, seeing{}, consistent{};
-      for (int j = 0; j < level.num_sources; ++j) {
-        const Warp warp = WarpPatch(level, group, j, plane);
-        seeing += Select(warp.inside, Splat(1), Floats{});
-        if (views.any[j]) {
-          sum += views.weight[j] * NccCost(level, group, j, warp);
-          weights += views.weight[j];
-        }
-        if (level.sources[j].inverse_depth) {
-          const Floats error = ForwardBackwardError(level, group, j, warp);
-          consistent += Select((error >= 0.f) & (error < options.consistency), Splat(1), Floats{});
+      const Words used = StoredViews(level, *planes, group);
+      Plane plane = LoadPlanes(level, *planes, group);
+      const Cost cost = RefineDepth(level, options, group, EqualWeights(used), &plane);
+      Store(level, group, plane, cost.value, used, planes);
+      const Ints possible = IsPossible(level, group, plane);
+      Floats seeing{}, consistent{};
+      for (Sources j{UnionOf(group.allowed)}; j.more(); j.next()) {
+        const Ints allowed = possible & Has(group.allowed, *j);
+        const Warp warp = WarpPatch(level, group, *j, plane);
+        seeing += Select(allowed & warp.inside, Splat(1), Floats{});
+        if (level.sources[*j].inverse_depth) {
+          const Floats error = ForwardBackwardError(level, group, *j, warp);
+          const Ints agrees = allowed & (error >= 0.f) & (error < options.consistency);
+          consistent += Select(agrees, Splat(1), Floats{});
         }
       }
-      const Floats cost = Select(weights > 0.f, sum / Max(weights, Splat(1)), Splat(kWorstCost));
+      const Floats texture = group.spread / group.weight_sum;
       for (int lane = 0; lane < group.count; ++lane) {
         const int64_t at = int64_t(y) * level.width + group.column[lane];
-        assessment->cost[at] = cost[lane];
+        assessment->cost[at] = cost.photometric[lane];
+        assessment->texture[at] = texture[lane];
         assessment->num_seeing[at] = uint8_t(seeing[lane]);
         assessment->num_consistent[at] = uint8_t(consistent[lane]);
       }
@@ -300,6 +332,6 @@ void AssessRow(const Level& level, const KernelOptions& options, const Planes& p
 #define SIRPY_STRING_(x) #x
 #define SIRPY_STRING(x) SIRPY_STRING_(x)
 extern const Kernels kKernels;
-const Kernels kKernels = {SIRPY_STRING(SIRPY_ISA), EvaluateRow, SweepRow, RefineRow, AssessRow};
+const Kernels kKernels = {SIRPY_STRING(SIRPY_ISA), EvaluateRow, SweepRow, FinishRow};
 
 }  // namespace sirpy::patch_match::SIRPY_ISA

@@ -13,22 +13,29 @@
 
 namespace sirpy::patch_match {
 
-constexpr int kMaxSources = 16;
+constexpr int kMaxSources = 32;
 constexpr int kPatchRadius = 4;  // 9x9 pixels, every second one is sampled: 25 samples
 constexpr int kPatchStep = 2;
 constexpr float kWorstCost = 2;  // 1 - NCC is in [0, 2]; what cannot be compared costs this
 
 struct SourceLevel {
-  const uint32_t* quads = nullptr;  // height x width; bytes: (x, y), (x+1, y), (x, y+1), (x+1, y+1)
+  const uint32_t* quads = nullptr;       // height x width, of PackQuads
   const float* inverse_depth = nullptr;  // height x width or null; 0 where there is none
   int width = 0;
   int height = 0;
   float x0 = 0;  // origin of the window
   float y0 = 0;
-  double a[9];  // row-major
-  double b[3];
-  double back_a[9];  // the same from the source to the reference
-  double back_b[3];
+  double a[9] = {};  // row-major
+  double b[3] = {};
+  double back_a[9] = {};  // the same from the source to the reference
+  double back_b[3] = {};
+};
+
+// What is known of the pixels of a block before they are looked at.
+struct Block {
+  uint32_t allowed = 0;  // bit j: source j may be matched
+  float min_inverse_depth = 0;
+  float max_inverse_depth = 0;
 };
 
 struct Level {
@@ -38,29 +45,37 @@ struct Level {
   int x0 = 0;  // native position, at this level, of the window's first pixel
   int y0 = 0;
   float fx = 0, fy = 0, cx = 0, cy = 0;
-  float min_inverse_depth = 0;
-  float max_inverse_depth = 0;
+  const Block* blocks = nullptr;  // row-major, from the corner of the native image
+  int block_side = 1;             // pixels of the level
+  int block_columns = 0;
   int num_sources = 0;
   SourceLevel sources[kMaxSources];
-  const float* prior = nullptr;  // inverse depth of the coarser level; null at the coarsest
+  const float* prior = nullptr;  // inverse depth that weak texture keeps; null: nothing is known
   uint64_t seed = 0;             // of the run, the image and the pass
-  int level = 0;                 // 0 is native resolution
-  bool coarsest = false;         // nothing is known yet but the range and the seeds
   int offers = 8;                // planes of neighbours that are tried, of 8
+  float largest_step = 2;        // pixels of motion in the sources, of the first sweep
+  bool everywhere = false;       // nothing is known yet: all sources, and depths at random
+  bool all_sources = false;      // choose among all that are allowed, not those used around
+  bool select_views = true;      // otherwise every pixel keeps its sources
+
+  const Block& BlockAt(int x, int y) const {  // of a pixel of the window
+    return blocks[int64_t((y0 + y) / block_side) * block_columns + (x0 + x) / block_side];
+  }
 };
 
-// One value per pixel of the window, row-major; 18 bytes per pixel.
+// One value per pixel of the window, row-major; 20 bytes per pixel.
 struct Planes {
   float* rho = nullptr;
   float* gx = nullptr;
   float* gy = nullptr;
   float* cost = nullptr;
-  uint16_t* views = nullptr;  // bit j: source j is used
+  uint32_t* views = nullptr;  // bit j: source j is used
 };
 
-// What `assess` finds of the final planes.
+// What `finish_row` finds of the final planes.
 struct Assessment {
   float* cost = nullptr;              // photometric cost over the selected sources
+  float* texture = nullptr;           // bilaterally weighted variance of the patch, grey levels^2
   uint8_t* num_seeing = nullptr;      // sources that the pixel can be compared with
   uint8_t* num_consistent = nullptr;  // sources whose own depth agrees within `consistency`
 };
@@ -71,22 +86,25 @@ struct KernelOptions {
   float geometric_weight = 0.2f;  // lambda
   float max_geometric_error = 3;  // pixels, T
   float consistency = 1;          // pixels: agreement of two depth maps
-  float prior_variance = 4;  // grey levels squared: below this texture the coarser level counts
-  int top_views = 4;         // sources that a pixel's cost is the mean of, at most
+  float prior_variance = 4;       // grey levels squared: below this texture the prior counts
+  int top_views = 4;              // sources that a pixel's cost is the mean of, at most
 };
 
 // One set per instruction set. Each works on one row: `colour` is (x + y) & 1 in native
 // coordinates.
 struct Kernels {
   const char* name;
-  void (*evaluate_row)(const Level&, const KernelOptions&, const Planes& candidates, Planes* planes,
-                       int y);
+  // `candidates`: `count` rows of planes; one without views is matched against all sources.
+  void (*evaluate_row)(const Level&, const KernelOptions&, const Planes* candidates, int count,
+                       Planes* planes, int y);
   void (*sweep_row)(const Level&, const KernelOptions&, Planes* planes, int y, int colour,
                     int iteration);
-  void (*refine_row)(const Level&, const KernelOptions&, Planes* planes, int y);
-  void (*assess_row)(const Level&, const KernelOptions&, const Planes& planes,
-                     Assessment* assessment, int y);
+  void (*finish_row)(const Level&, const KernelOptions&, Planes* planes, Assessment* assessment,
+                     int y);
 };
+
+// The farthest that half a sweep looks for planes, pixels of the level.
+constexpr int kSweepReach = 23;
 
 // The widest set that this processor has; SIRPY_ISA=baseline|avx2|avx512 in the environment asks
 // for another.

@@ -1,13 +1,21 @@
 // The cost of one plane in one source: 1 - bilaterally weighted NCC over a 9x9 patch of 25 samples
 // (Schoenberger et al., ECCV 2016, section 4.2), the homography linearised at the patch's centre
-// (error below 0.1 px at 60 degrees of slant and rotation). A patch that leaves the source's
-// window, is seen from behind or changes its area more than 4 times costs kWorstCost.
+// (error below 0.1 px at 60 degrees of slant and rotation). A patch that leaves the source, is seen
+// from behind, changes its area more than 4 times or reaches farther than kMaxReach in the source
+// costs kWorstCost.
+//
+// The samples of the source are whole numbers: positions are rounded to 1/256 pixel and bilinear
+// weights to 1/255, which the 8-bit pixels do not notice (0.001 of a cost). A source's window must
+// be less than 2^15 pixels wide.
 #pragma once
 
-#include "depth_window.h"
 #include "patch_match/patch.h"
 
 namespace sirpy::patch_match::SIRPY_ISA {
+
+constexpr float kMaxReach = 16;         // pixels
+constexpr float kRounding = 1.f / 64;   // pixels: more than the rounding of a sample's position
+constexpr float kHalfUnit = 1.f / 512;  // pixels: half a unit of the fixed point
 
 struct Warp {
   Ints inside;
@@ -37,76 +45,77 @@ SIRPY_INLINE Warp WarpPatch(const Level& level, const Group& group, int j, const
   const Floats reach_x = float(kPatchRadius) * (Abs(warp.j00) + Abs(warp.j01));
   const Floats reach_y = float(kPatchRadius) * (Abs(warp.j10) + Abs(warp.j11));
   const Floats area = warp.j00 * warp.j11 - warp.j01 * warp.j10;
+  const float right = source.x0 + float(source.width - 1);
+  const float bottom = source.y0 + float(source.height - 1);
   warp.inside = (depth > 1e-6f) & (plane.rho > 0.f) & (area > 0.25f) & (area < 4.f) &
-                (warp.x - reach_x >= 0.f) & (warp.y - reach_y >= 0.f) &
-                (warp.x + reach_x < float(source.width - 1)) &
-                (warp.y + reach_y < float(source.height - 1));
+                (reach_x <= kMaxReach) & (reach_y <= kMaxReach) &
+                (x - reach_x >= source.x0 + kRounding) & (x + reach_x < right) &
+                (y - reach_y >= source.y0 + kRounding) & (y + reach_y < bottom);
   return warp;
+}
+
+// A position or a step in 1/256 pixels, rounded: x in the low and y in the high half of each lane.
+SIRPY_INLINE Halves FixedPoint(Floats x, Floats y) {
+  const float shift = 3 << 22;  // leaves the nearest whole number in the low bits of a float
+  return (Halves)(((Words)(x * 256.f + shift) & 0xffffu) | (Words)(y * 256.f + shift) << 16);
+}
+
+// The bilinear mean of the bytes of a quad, times 255^2; `at` is a position in fixed point. The
+// fraction f of 256 counts as f / 255, so that the weights f and 255 - f are bytes.
+SIRPY_INLINE Floats Interpolated(Words quad, Halves at) {
+  const Words across = RepeatByte<0, 0x01010101>((Words)at) ^ 0x00ff00ffu;  // left, right, twice
+  const Words down = RepeatByte<2, 0x00010001>((Words)at) ^ 0x000000ffu;    // upper, lower
+  return ToFloats(SumOfProducts(SumsOfByteProducts(across, quad), (Halves)down));
 }
 
 SIRPY_FUNCTION Floats NccCost(const Level& level, const Group& group, int j, const Warp& warp) {
   if (!Any(warp.inside)) return Splat(kWorstCost);
   const SourceLevel& source = level.sources[j];
-  const Floats zero{};
   // Lanes outside read the window's first pixel: harmless, and thrown away below.
-  const Floats x = Select(warp.inside, warp.x, zero), y = Select(warp.inside, warp.y, zero);
-  const Floats j00 = Select(warp.inside, warp.j00, zero), j01 = Select(warp.inside, warp.j01, zero);
-  const Floats j10 = Select(warp.inside, warp.j10, zero), j11 = Select(warp.inside, warp.j11, zero);
-
-  Floats sum_s{}, sum_ss{}, sum_rs{};
-  for (int row = 0; row < kSide; ++row) {
-    const float dy = float(row * kPatchStep - kPatchRadius);
-    const Floats row_x = x + j01 * dy, row_y = y + j11 * dy;
-#pragma GCC unroll 5
-    for (int column = 0; column < kSide; ++column) {
-      const float dx = float(column * kPatchStep - kPatchRadius);
-      const Floats px = row_x + j00 * dx, py = row_y + j10 * dx;
-      const Ints ix = Truncate(px), iy = Truncate(py);
-      const Floats fx = px - ToFloats(ix), fy = py - ToFloats(iy);
-      const Words quad = (Words)Gather(source.quads, iy * source.width + ix);
-      const Floats v00 = ToFloats((Ints)(quad & 255u));
-      const Floats v10 = ToFloats((Ints)((quad >> 8) & 255u));
-      const Floats v01 = ToFloats((Ints)((quad >> 16) & 255u));
-      const Floats v11 = ToFloats((Ints)(quad >> 24));
-      const Floats top = v00 + fx * (v10 - v00), bottom = v01 + fx * (v11 - v01);
-      // About the reference's mean, so that float32 does not cancel in the variance.
-      const Floats s = top + fy * (bottom - top) - group.mean;
-      const Floats ws = group.weight[row * kSide + column] * s;
-      sum_s += ws;
-      sum_ss += ws * s;
-      sum_rs += group.centred[row * kSide + column] * s;
-    }
+  const Floats x = Select(warp.inside, warp.x, Floats{}), y = Select(warp.inside, warp.y, Floats{});
+  const Ints whole_x = Truncate(x), whole_y = Truncate(y);
+  // Rounded down, since f / 255 is a little more than f / 256: without bias together.
+  const Halves centre =
+      FixedPoint(x - ToFloats(whole_x) - kHalfUnit, y - ToFloats(whole_y) - kHalfUnit);
+  Halves rows[kSide], columns[kSide];
+  for (int i = 0; i <= kSide / 2; ++i) {
+    const float d = float(i * kPatchStep);
+    const Halves row = FixedPoint(d * warp.j01, d * warp.j11) & (Halves)warp.inside;
+    const Halves column = FixedPoint(d * warp.j00, d * warp.j10) & (Halves)warp.inside;
+    rows[kSide / 2 - i] = centre - row;
+    rows[kSide / 2 + i] = centre + row;
+    columns[kSide / 2 - i] = -column;
+    columns[kSide / 2 + i] = column;
   }
-  const Floats spread = sum_ss - sum_s * sum_s / group.weight_sum;
+
+  // All loads before all arithmetic, so that many are under way at once.
+  Halves at[kSamples];
+  Words quads[kSamples];
+  const Ints first = whole_y * source.width + whole_x;
+  const Halves strides = (Halves)SplatInt(source.width << 16 | 1);
+#pragma GCC unroll 25
+  for (int i = 0; i < kSamples; ++i) {
+    at[i] = rows[i / kSide] + columns[i % kSide];
+    quads[i] = (Words)Gather(source.quads, first + SumOfProducts(at[i] >> 8, strides));
+  }
+  Floats sum_s{}, sum_ss{}, sum_rs{};
+#pragma GCC unroll 5
+  for (int i = 0; i < kSamples; ++i) {
+    const Floats s = Interpolated(quads[i], at[i]);
+    const Floats ws = group.weight[i] * s;
+    sum_s += ws;
+    sum_ss += ws * s;
+    sum_rs += group.centred[i] * s;
+  }
+  constexpr float kUnit = 1.f / (255 * 255);
+  const Floats spread = (sum_ss - sum_s * sum_s * group.inverse_weight_sum) * (kUnit * kUnit);
   // Below the noise of 8-bit rounding (variance 1/12) there is nothing to compare.
   const Floats least = group.weight_sum * (1.f / 12.f);
   const Ints textured = (spread > least) & (group.spread > least);
   const Floats product = Select(textured, group.spread * spread, Splat(1));
-  const Floats cost = Min(Max(1.f - sum_rs / Sqrt(product), Splat(0)), Splat(kWorstCost));
+  const Floats ncc = sum_rs * kUnit / Sqrt(product);
+  const Floats cost = Min(Max(1.f - ncc, Splat(0)), Splat(kWorstCost));
   return Select(warp.inside, Select(textured, cost, Splat(1)), Splat(kWorstCost));
-}
-
-// Forward-backward error in reference pixels (Schoenberger et al., ECCV 2016, section 4.5): to the
-// source, onto the depth found there, and back. -1 where the source has no depth.
-SIRPY_FUNCTION Floats ForwardBackwardError(const Level& level, const Group& group, int j,
-                                           const Warp& warp) {
-  const SourceLevel& source = level.sources[j];
-  Floats error = Splat(-1);
-  for (int lane = 0; lane < kLanes; ++lane) {
-    if (!warp.inside[lane]) continue;
-    const float x = warp.x[lane], y = warp.y[lane];
-    const float found = InterpolatedInverseDepth(source.inverse_depth, source.width, x, y);
-    if (found <= 0) continue;
-    const double u = x + source.x0, v = y + source.y0;
-    const double* a = source.back_a;
-    const double* b = source.back_b;
-    const double z = a[6] * u + a[7] * v + a[8] + b[2] * found;
-    if (z <= 0) continue;
-    const double dx = (a[0] * u + a[1] * v + a[2] + b[0] * found) / z - group.x[lane];
-    const double dy = (a[3] * u + a[4] * v + a[5] + b[1] * found) / z - group.native_y[lane];
-    error[lane] = float(__builtin_sqrt(dx * dx + dy * dy));
-  }
-  return error;
 }
 
 }  // namespace sirpy::patch_match::SIRPY_ISA

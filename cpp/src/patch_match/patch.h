@@ -24,11 +24,12 @@ struct Group {
   Floats x, native_y;        // position in the native image at this level
   Floats weight[kSamples];   // bilateral, w
   Floats centred[kSamples];  // w (r - mean)
-  Floats weight_sum;
-  Floats mean;
-  Floats spread;  // sum of w (r - mean)^2
+  Floats weight_sum, inverse_weight_sum;
+  Floats spread;            // sum of w (r - mean)^2
+  Words allowed;            // sources that may be matched; bit j is source j
+  Floats min_rho, max_rho;  // range of inverse depth
   Floats ax[kMaxSources], ay[kMaxSources],
-      az[kMaxSources];  // a x~ per source, without the window's origin
+      az[kMaxSources];  // a x~ of the allowed sources, without the window's origin
 };
 
 SIRPY_FUNCTION Group LoadGroup(const Level& level, const KernelOptions& options, int first, int y) {
@@ -47,9 +48,14 @@ SIRPY_FUNCTION Group LoadGroup(const Level& level, const KernelOptions& options,
   const int stride = level.width + 2 * kPatchRadius;
   const uint8_t* rows = level.grey + int64_t(y) * stride;
   Floats value[kSamples];
+  const bool whole = first + 2 * kLanes <= level.width;
   for (int i = 0; i < kSamples; ++i) {
     const uint8_t* row = rows + int64_t(i / kSide) * kPatchStep * stride + (i % kSide) * kPatchStep;
-    for (int lane = 0; lane < kLanes; ++lane) value[i][lane] = float(row[group.column[lane]]);
+    if (whole) {
+      value[i] = EverySecondByte(row + first);
+    } else {
+      for (int lane = 0; lane < kLanes; ++lane) value[i][lane] = float(row[group.column[lane]]);
+    }
   }
   const float color = -1.f / (2 * options.color_sigma * options.color_sigma);
   const float space = -1.f / (2 * options.space_sigma * options.space_sigma);
@@ -63,22 +69,33 @@ SIRPY_FUNCTION Group LoadGroup(const Level& level, const KernelOptions& options,
     first_moment += group.weight[i] * value[i];
   }
   group.weight_sum = sum;
-  group.mean = first_moment / sum;
+  group.inverse_weight_sum = 1.f / sum;
+  const Floats mean = first_moment * group.inverse_weight_sum;
   group.spread = Floats{};
   for (int i = 0; i < kSamples; ++i) {
-    const Floats deviation = value[i] - group.mean;
+    const Floats deviation = value[i] - mean;
     group.centred[i] = group.weight[i] * deviation;
     group.spread += group.centred[i] * deviation;
   }
 
-  for (int j = 0; j < level.num_sources; ++j) {
+  uint32_t any_allowed = 0;
+  const Block* block = &level.BlockAt(group.column[0], y);
+  const bool one_block = block == &level.BlockAt(group.column[kLanes - 1], y);
+  for (int lane = 0; lane < kLanes; ++lane) {
+    if (!one_block) block = &level.BlockAt(group.column[lane], y);
+    group.allowed[lane] = block->allowed;
+    group.min_rho[lane] = block->min_inverse_depth;
+    group.max_rho[lane] = block->max_inverse_depth;
+    any_allowed |= block->allowed;
+  }
+  const Doubles px = __builtin_convertvector(group.x, Doubles);
+  const double py = double(level.y0) + y;
+  for (uint32_t left = any_allowed; left != 0; left &= left - 1) {
+    const int j = __builtin_ctz(left);
     const double* a = level.sources[j].a;
-    for (int lane = 0; lane < kLanes; ++lane) {
-      const double px = group.x[lane], py = group.native_y[lane];
-      group.ax[j][lane] = float(a[0] * px + a[1] * py + a[2]);
-      group.ay[j][lane] = float(a[3] * px + a[4] * py + a[5]);
-      group.az[j][lane] = float(a[6] * px + a[7] * py + a[8]);
-    }
+    group.ax[j] = __builtin_convertvector(a[0] * px + (a[1] * py + a[2]), Floats);
+    group.ay[j] = __builtin_convertvector(a[3] * px + (a[4] * py + a[5]), Floats);
+    group.az[j] = __builtin_convertvector(a[6] * px + (a[7] * py + a[8]), Floats);
   }
   return group;
 }

@@ -10,6 +10,7 @@ namespace sirpy::patch_match::SIRPY_ISA {
 
 // (along, across) steps of the two kinds of region; "along" points away from the pixel.
 constexpr int kNear[7][2] = {{1, 0}, {2, -1}, {2, 1}, {3, -2}, {3, 2}, {4, -3}, {4, 3}};
+static_assert(kSweepReach == 23);
 constexpr int kFar[11][2] = {{3, 0},  {5, 0},  {7, 0},  {9, 0},  {11, 0}, {13, 0},
                              {15, 0}, {17, 0}, {19, 0}, {21, 0}, {23, 0}};
 
@@ -30,50 +31,71 @@ struct Offers {
   int count;
   Plane plane[8];
   Ints valid[8];
+  Words views;  // that the pixels they come from are matched against
 };
 
 SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, const Group& group,
                                     int count) {
   static constexpr int kAlong[4][2] = {{0, -1}, {0, 1}, {-1, 0}, {1, 0}};
-  struct Offer {
-    float cost;
-    int dx, dy;
+  constexpr float kNone = 3 * kWorstCost;
+  const int first = group.column[0];
+  const bool inner = first >= kSweepReach && first + 2 * kLanes + kSweepReach <= level.width;
+  const auto costs_at = [&](int dx, int y) {
+    const float* row = planes.cost + int64_t(y) * level.width;
+    if (inner) return EverySecond(row + first + dx);
+    Floats costs;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const int x = group.column[lane] + dx;
+      costs[lane] = x < 0 || x >= level.width ? kNone : row[x];
+    }
+    return costs;
   };
+
+  Floats cost[8];
+  Ints step[8];  // to the best pixel of the region: dy in the high half, dx in the low one
+  for (int region = 0; region < 8; ++region) {
+    const int along_x = kAlong[region % 4][0], along_y = kAlong[region % 4][1];
+    const bool near = region < 4;
+    cost[region] = Splat(kNone);
+    step[region] = Ints{};
+    for (int i = 0; i < (near ? 7 : 11); ++i) {
+      const int* along = near ? kNear[i] : kFar[i];
+      const int dx = along_x * along[0] + along_y * along[1];
+      const int dy = along_y * along[0] + along_x * along[1];
+      const int y = group.y + dy;
+      if (y < 0 || y >= level.height) continue;
+      const Floats found = costs_at(dx, y);
+      const Ints better = found < cost[region];
+      cost[region] = Select(better, found, cost[region]);
+      step[region] = Select(better, SplatInt(dy * 65536 + (dx & 0xffff)), step[region]);
+    }
+  }
+
   Offers offers{};
   offers.count = count;
+  Ints here;
   for (int lane = 0; lane < kLanes; ++lane) {
-    const int column = group.column[lane];
-    const float* costs = planes.cost + int64_t(group.y) * level.width + column;
-    Offer sorted[8];
-    int found = 0;
-    for (int region = 0; region < 8; ++region) {
-      const int along_x = kAlong[region % 4][0], along_y = kAlong[region % 4][1];
-      const bool near = region < 4;
-      Offer best{3 * kWorstCost, 0, 0};
-      for (int i = 0; i < (near ? 7 : 11); ++i) {
-        const int* step = near ? kNear[i] : kFar[i];
-        const int dx = along_x * step[0] + along_y * step[1];
-        const int dy = along_y * step[0] + along_x * step[1];
-        const int x = column + dx, y = group.y + dy;
-        if (x < 0 || y < 0 || x >= level.width || y >= level.height) continue;
-        const float cost = costs[int64_t(dy) * level.width + dx];
-        if (cost < best.cost) best = {cost, dx, dy};
-      }
-      if (best.dx == 0 && best.dy == 0) continue;
-      int at = found++;
-      for (; at > 0 && best.cost < sorted[at - 1].cost; --at) sorted[at] = sorted[at - 1];
-      sorted[at] = best;
+    here[lane] = group.y * level.width + group.column[lane];
+  }
+  for (int i = 0; i < count; ++i) {
+    // The best of those left moves to the front; equal ones keep their order.
+    for (int k = 7; k > i; --k) {
+      const Ints swap = cost[k] < cost[k - 1];
+      const Floats low = Select(swap, cost[k], cost[k - 1]);
+      const Ints low_step = Select(swap, step[k], step[k - 1]);
+      cost[k] = Select(swap, cost[k - 1], cost[k]);
+      step[k] = Select(swap, step[k - 1], step[k]);
+      cost[k - 1] = low;
+      step[k - 1] = low_step;
     }
-    for (int i = 0; i < found && i < count; ++i) {
-      const Offer& offer = sorted[i];
-      const int64_t at = int64_t(group.y + offer.dy) * level.width + column + offer.dx;
-      Plane& plane = offers.plane[i];
-      plane.gx[lane] = planes.gx[at];
-      plane.gy[lane] = planes.gy[at];
-      plane.rho[lane] =
-          planes.rho[at] - planes.gx[at] * float(offer.dx) - planes.gy[at] * float(offer.dy);
-      offers.valid[i][lane] = -1;
-    }
+    const Ints dx = step[i] << 16 >> 16, dy = step[i] >> 16;
+    const Ints at = here + dy * level.width + dx;
+    Plane& plane = offers.plane[i];
+    plane.gx = Gather(planes.gx, at);
+    plane.gy = Gather(planes.gy, at);
+    plane.rho = Gather(planes.rho, at) - plane.gx * ToFloats(dx) - plane.gy * ToFloats(dy);
+    offers.valid[i] = cost[i] < kNone;
+    offers.views |= (Words)offers.valid[i] & (Words)Gather(planes.views, at);
   }
   return offers;
 }

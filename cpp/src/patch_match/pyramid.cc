@@ -3,34 +3,27 @@
 #include <algorithm>
 
 namespace sirpy::patch_match {
-namespace {
-
-GreyImage Halved(const uint8_t* grey, int width, int height) {
-  GreyImage half{(width + 1) / 2, (height + 1) / 2, {}};
-  half.pixels.resize(size_t(half.width) * half.height);
-  for (int y = 0; y < half.height; ++y) {
-    const uint8_t* upper = grey + int64_t(2 * y) * width;
-    const uint8_t* lower = 2 * y + 1 < height ? upper + width : upper;
-    for (int x = 0; x < half.width; ++x) {
-      const int left = 2 * x, right = std::min(left + 1, width - 1);
-      const int sum = upper[left] + upper[right] + lower[left] + lower[right];
-      half.pixels[size_t(y) * half.width + x] = uint8_t((sum + 2) / 4);
+std::vector<uint8_t> Shrunk(const uint8_t* grey, int width, int height, int factor) {
+  const int columns = (width + factor - 1) / factor, rows = (height + factor - 1) / factor;
+  std::vector<uint8_t> shrunk(size_t(columns) * rows);
+  std::vector<uint32_t> sums(columns);
+  for (int row = 0; row < rows; ++row) {
+    std::fill(sums.begin(), sums.end(), 0);
+    const int first = row * factor, end = std::min(first + factor, height);
+    for (int y = first; y < end; ++y) {
+      const uint8_t* from = grey + int64_t(y) * width;
+      for (int column = 0; column < columns; ++column) {
+        const int right = std::min((column + 1) * factor, width);
+        for (int x = column * factor; x < right; ++x) sums[column] += from[x];
+      }
+    }
+    for (int column = 0; column < columns; ++column) {
+      const int across = std::min(factor, width - column * factor);
+      const uint32_t count = uint32_t(across) * uint32_t(end - first);
+      shrunk[size_t(row) * columns + column] = uint8_t((sums[column] + count / 2) / count);
     }
   }
-  return half;
-}
-
-}  // namespace
-
-std::vector<GreyImage> Pyramid(const uint8_t* grey, int width, int height, int levels) {
-  std::vector<GreyImage> pyramid;
-  for (int level = 1; level < levels; ++level) {
-    const bool first = pyramid.empty();
-    pyramid.push_back(Halved(first ? grey : pyramid.back().pixels.data(),
-                             first ? width : pyramid.back().width,
-                             first ? height : pyramid.back().height));
-  }
-  return pyramid;
+  return shrunk;
 }
 
 void PackQuads(const uint8_t* grey, int width, int height, uint32_t* quads) {
@@ -39,8 +32,9 @@ void PackQuads(const uint8_t* grey, int width, int height, uint32_t* quads) {
     const uint8_t* lower = y + 1 < height ? upper + width : upper;
     for (int x = 0; x < width; ++x) {
       const int right = std::min(x + 1, width - 1);
-      quads[size_t(y) * width + x] = uint32_t(upper[x]) | uint32_t(upper[right]) << 8 |
-                                     uint32_t(lower[x]) << 16 | uint32_t(lower[right]) << 24;
+      const uint32_t quad = uint32_t(upper[x]) | uint32_t(upper[right]) << 8 |
+                            uint32_t(lower[x]) << 16 | uint32_t(lower[right]) << 24;
+      quads[size_t(y) * width + x] = quad ^ 0x80808080u;
     }
   }
 }

@@ -1,5 +1,4 @@
-// Image pyramids whose pixels are the same whatever the window: level l + 1 averages 2x2 blocks of
-// level l that start at even native pixels, so windows must start at multiples of 2^(levels - 1).
+// Pixels of a pyramid level, the same whatever the window, and images packed for the kernels.
 #pragma once
 
 #include <cstdint>
@@ -7,18 +6,14 @@
 
 namespace sirpy::patch_match {
 
-struct GreyImage {
-  int width = 0;
-  int height = 0;
-  std::vector<uint8_t> pixels;  // height x width
-};
-
-// Levels 1 .. levels - 1 of an image (level 0 is the image itself). A last odd row or column is
-// averaged from what there is.
-std::vector<GreyImage> Pyramid(const uint8_t* grey, int width, int height, int levels);
+// The mean of each block of `factor` x `factor` pixels, rounded once; at the right and lower border
+// of what there is. The window must start at a multiple of `factor` pixels of its image. The result
+// has ceil(width / factor) x ceil(height / factor) pixels.
+std::vector<uint8_t> Shrunk(const uint8_t* grey, int width, int height, int factor);
 
 // Each pixel with its right, lower and lower-right neighbours in one word, clamped at the border:
-// one load gives what bilinear interpolation needs. 4 bytes per pixel.
+// one load gives what bilinear interpolation needs. Bytes with a sign, grey - 128: a product with
+// an 8-bit weight then fits 16 bits. 4 bytes per pixel.
 void PackQuads(const uint8_t* grey, int width, int height, uint32_t* quads);
 
 // The image with `margin` more pixels on each side, which repeat its border.

@@ -5,22 +5,21 @@
 namespace sirpy::patch_match {
 namespace {
 
-TEST(Pyramid, AveragesBlocksAndWhatIsLeftAtAnOddBorder) {
+TEST(Shrunk, AveragesBlocksAndWhatIsLeftAtTheBorder) {
   const std::vector<uint8_t> grey = {10, 20, 100,  //
                                      30, 40, 200,  //
                                      50, 60, 250};
-  const std::vector<GreyImage> pyramid = Pyramid(grey.data(), 3, 3, 2);
-  ASSERT_EQ(pyramid.size(), 1u);
-  EXPECT_EQ(pyramid[0].width, 2);
-  EXPECT_EQ(pyramid[0].pixels, (std::vector<uint8_t>{25, 150, 55, 250}));
+  EXPECT_EQ(Shrunk(grey.data(), 3, 3, 2), (std::vector<uint8_t>{25, 150, 55, 250}));
+  EXPECT_EQ(Shrunk(grey.data(), 3, 3, 1), grey);
+  EXPECT_EQ(Shrunk(grey.data(), 3, 3, 4), (std::vector<uint8_t>{84}));  // 760 / 9, rounded once
 }
 
 TEST(PackQuads, HoldsTheFourNeighbours) {
   const std::vector<uint8_t> grey = {1, 2, 3, 4};
   std::vector<uint32_t> quads(4);
   PackQuads(grey.data(), 2, 2, quads.data());
-  EXPECT_EQ(quads[0], 0x04030201u);
-  EXPECT_EQ(quads[3], 0x04040404u);
+  EXPECT_EQ(quads[0], 0x84838281u);
+  EXPECT_EQ(quads[3], 0x84848484u);
 }
 
 }  // namespace

@@ -1,0 +1,51 @@
+// What the depths around a pixel say of its own.
+//
+// Geometry: a window of a native image, row-major; depth is z in the camera (any unit; 0 where
+// there is none), normals are 3 planes in the camera frame. Cameras as in patch_match_sir.h. A
+// pixel lies on the plane of another when its depth differs from the plane's on its ray by few
+// pixels' worth of depth (depth / focal length): however steep the surface, it lies on its own
+// plane.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "rectangle.h"
+
+namespace sirpy {
+
+// Maps of a window; the arrays are not owned.
+struct PlaneMap {
+  Rectangle window;            // native pixels
+  Eigen::Matrix3d intrinsics;  // K of the whole native image
+  const float* depth = nullptr;
+  const float* normal = nullptr;
+};
+
+// Speckles are small islands of depths that no neighbour shares. Two pixels side by side belong
+// together when each lies on the plane of the other, within `step`. Components are 4-connected;
+// those of fewer than `min_pixels` pixels are speckles (after Hirschmueller, Stereo Processing by
+// Semiglobal Matching and Mutual Information, PAMI 2008, section 2.5, who compares disparities).
+// One that touches the border of the window is none, whatever it holds: so the answer for a pixel
+// at least `min_pixels` from the border is the same in every window.
+struct SpeckleOptions {
+  double step = 0;         // pixels' worth of depth
+  int64_t min_pixels = 0;  // 0 or 1: there are no speckles
+
+  // Throws std::invalid_argument that names field, value and bound.
+  void Validate() const;
+};
+
+// 1 for each pixel of a speckle, 0 elsewhere.
+std::vector<uint8_t> FindSpeckles(const PlaneMap& map, const SpeckleOptions& options);
+
+// For each pixel: the share (0 .. 1) of the pixels `kCoplanarReach` away from it, across, down and
+// diagonally, that lie on its plane, within `kCoplanarStep`. Those outside the window do not count;
+// those without depth are not on the plane. 0 where the pixel has no depth.
+constexpr int kCoplanarReach = 4;
+constexpr double kCoplanarStep = 2;  // pixels' worth of depth
+std::vector<float> CoplanarShares(const PlaneMap& map);
+
+}  // namespace sirpy

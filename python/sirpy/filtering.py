@@ -1,0 +1,236 @@
+"""Filtering: which depths of an estimate are kept, why the others are not, and how sure the kept ones are.
+
+Maps are (height, width), one pixel of a window of a native image each; depth is z in its camera. What becomes
+of a pixel depends on the maps within `speckle_pixels` of it, and not on where the window ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from enum import IntFlag
+
+import numpy as np
+import numpy.typing as npt
+
+from sirpy import _core
+from sirpy.errors import InputError
+from sirpy.rectangle import Rectangle
+
+FloatMap = npt.NDArray[np.float32]
+ByteMap = npt.NDArray[np.uint8]
+
+_COPLANAR_REACH = 4  # pixels (kCoplanarReach in depth_filter.cc)
+_BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the maps
+
+# Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
+# `evidence`. Fitted by benchmarks/confidence.py.
+CONFIDENCE = np.array([-1.633, 0.096, 2.009, -0.729, 4.522, -0.311])
+
+
+class Reason(IntFlag):
+    """Why a pixel has no depth; one bit each, 0 for a pixel that has one."""
+
+    NOT_SEEN = 1  # no source window holds its patch
+    HIGH_COST = 2  # it looks different in the sources, and too few of them agree all the same
+    INCONSISTENT = 4  # too few sources measured the same depth
+    NO_SOURCES = 8  # the whole sub-image shares too few sparse points with other photographs
+    MASKED = 16  # the photograph's mask is black there
+    SPECKLE = 32  # a small island of a depth that no neighbour shares
+    GRAZING = 64  # the surface is seen nearly edge-on
+    UNTEXTURED = 128  # nothing to match, and too few sources measured the same depth all the same
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the estimator says of a window."""
+
+    depth: FloatMap  # 0 where nothing could be compared
+    normal: FloatMap  # (3, height, width), camera frame, towards the camera
+    cost: FloatMap  # 1 - NCC over the sources used, 0 .. 2
+    num_seeing: ByteMap  # sources whose window holds the patch
+    num_consistent: ByteMap  # sources whose own depth agrees within a pixel
+    texture: FloatMap  # variance of the grey levels in the patch
+
+
+@dataclass(frozen=True)
+class FilterOptions:
+    """Which depths are kept."""
+
+    max_cost: float = 0.8  # 1 - NCC: pixels above need more sources that agree
+    min_consistent: int = 2  # sources whose depth must agree
+    # The same for pixels above max_cost: noise decides there, not texture.
+    costly_consistent: int = 5
+    weak_texture: float = 4.0  # grey levels squared: the variance of a patch of noise
+    untextured_share: float = 0.4  # of the sources that see it: that must agree below weak_texture
+    max_angle: float = 80.0  # degrees between ray and normal
+    speckle_pixels: int = 6  # smaller islands are left out; at most the halo
+    speckle_consistent: int = 3  # sources that must agree on a pixel of an island all the same
+    speckle_step: float = 1.5  # pixels' worth of depth: neighbours of an island lie on one plane
+
+    def __post_init__(self) -> None:
+        """Raises InputError for an option out of range."""
+        bounds = {
+            "max_cost": (0, 2),
+            "min_consistent": (0, 32),
+            "costly_consistent": (0, 33),
+            "weak_texture": (0, 65025),
+            "untextured_share": (0, 1),
+            "max_angle": (1, 90),
+            "speckle_pixels": (0, 100_000),
+            "speckle_consistent": (0, 33),
+            "speckle_step": (0, 1000),
+        }
+        check_bounds(self, bounds)
+
+    @property
+    def margin(self) -> int:
+        """Pixels around a pixel whose estimates have a say in what becomes of it."""
+        return max(self.speckle_pixels, _COPLANAR_REACH)
+
+
+def check_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) -> None:
+    """Raises InputError that names the command line's option whose value is out of its bounds."""
+    for name, (low, high) in bounds.items():
+        value = getattr(options, name)
+        if not low <= value <= high:
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} {value} is not possible: choose {low} to {high}")
+
+
+def filter_depths(
+    estimate: Estimate,
+    intrinsics: npt.NDArray[np.float64],
+    window: Rectangle,
+    masked: npt.NDArray[np.bool_],
+    num_sources: int | ByteMap,
+    options: FilterOptions,
+) -> tuple[ByteMap, FloatMap]:
+    """Why pixels have no depth (`Reason`, 0 where they have one), and the confidence of those that have.
+
+    Args:
+        intrinsics: (3, 3) of the whole native image.
+        window: of the estimate, in native pixels.
+        masked: (height, width), True where the photograph is not to be used.
+        num_sources: that a pixel was offered, for all or for each: no more can agree than there are.
+
+    Returns:
+        reason; confidence: probability (0 .. 1) that a depth is right within two pixels' worth,
+        2 depth / focal length; 0 where there is none.
+    """
+    shape = estimate.depth.shape
+    reason = np.zeros(shape, np.uint8)
+    confidence = np.zeros(shape, np.float32)
+    offered = np.broadcast_to(np.asarray(num_sources, np.uint8), shape)
+    coplanar = coplanar_shares(estimate, intrinsics, window)
+    for rows in _bands(shape):
+        part = _rows_of(estimate, rows)
+        cosine = cosines(part.normal, intrinsics, _rows_of_window(window, rows))
+        reason[rows] = _reasons(part, cosine, masked[rows], offered[rows], options)
+        confidence[rows] = probability(evidence(part, coplanar[rows]))
+    kept = np.where(reason == 0, estimate.depth, np.float32(0))
+    speckle = _core.find_speckles(
+        kept,
+        estimate.normal,
+        intrinsics=intrinsics,
+        x0=window.x0,
+        y0=window.y0,
+        step=options.speckle_step,
+        min_pixels=options.speckle_pixels,
+    )
+    unsure = estimate.num_consistent < options.speckle_consistent
+    reason |= (speckle & unsure) * np.uint8(Reason.SPECKLE)
+    confidence[reason != 0] = 0
+    return reason, confidence
+
+
+def _reasons(
+    estimate: Estimate,
+    cosine: FloatMap,
+    masked: npt.NDArray[np.bool_],
+    num_sources: ByteMap,
+    options: FilterOptions,
+) -> ByteMap:
+    """Everything but speckles, which are found among what is left."""
+    agreeing = estimate.num_consistent
+    not_seen = (estimate.num_seeing == 0) | ~(estimate.depth > 0)
+    reasons = {
+        Reason.NOT_SEEN: not_seen,
+        Reason.HIGH_COST: (estimate.cost > options.max_cost)
+        & (agreeing < options.costly_consistent),
+        Reason.INCONSISTENT: agreeing < np.minimum(num_sources, options.min_consistent),
+        Reason.MASKED: masked,
+        Reason.GRAZING: ~not_seen & (cosine < np.cos(np.radians(options.max_angle))),
+        Reason.UNTEXTURED: (estimate.texture < options.weak_texture)
+        & (agreeing < options.untextured_share * estimate.num_seeing),
+    }
+    found = np.zeros(masked.shape, np.uint8)
+    for reason, hit in reasons.items():
+        found |= hit * np.uint8(reason)
+    return found
+
+
+def first_reasons(reason: ByteMap) -> ByteMap:
+    """Of each pixel the first of its reasons; 0 where there is none."""
+    first: ByteMap = reason & (~reason + np.uint8(1))
+    return first
+
+
+def cosines(normal: FloatMap, intrinsics: npt.NDArray[np.float64], window: Rectangle) -> FloatMap:
+    """Cosines of the angles between the normals (3 planes) and the rays back to the camera."""
+    x = (np.arange(window.x0, window.x1) + 0.5 - intrinsics[0, 2]) / intrinsics[0, 0]
+    y = (np.arange(window.y0, window.y1) + 0.5 - intrinsics[1, 2])[:, None] / intrinsics[1, 1]
+    along = -(normal[0] * x + normal[1] * y + normal[2])
+    cosine: FloatMap = (along / np.sqrt(x * x + y * y + 1)).astype(np.float32)
+    return cosine
+
+
+def coplanar_shares(
+    estimate: Estimate, intrinsics: npt.NDArray[np.float64], window: Rectangle
+) -> FloatMap:
+    """Share of the pixels around each that lie on its plane (cpp/src/depth_filter.h)."""
+    return _core.coplanar_shares(
+        estimate.depth, estimate.normal, intrinsics=intrinsics, x0=window.x0, y0=window.y0
+    )
+
+
+def evidence(estimate: Estimate, coplanar: FloatMap) -> npt.NDArray[np.float32]:
+    """What the confidence is made of, (6, height, width); the first plane is 1."""
+    agreeing = estimate.num_consistent.astype(np.float32)
+    return np.stack(
+        [
+            np.ones_like(agreeing),
+            agreeing,
+            agreeing / np.maximum(estimate.num_seeing, 1),
+            np.log(np.clip(estimate.cost, 0, 2) + 0.01),
+            coplanar,  # most wrong depths lie near edges of other depths
+            np.log1p(estimate.texture),  # and these have contrast
+        ]
+    ).astype(np.float32)
+
+
+def probability(
+    evidences: npt.NDArray[np.float32], coefficients: npt.NDArray[np.float64] = CONFIDENCE
+) -> FloatMap:
+    """The logistic model: (height, width), or whatever follows the first axis of `evidences`."""
+    odds = np.zeros(evidences.shape[1:], np.float64)
+    for coefficient, plane in zip(coefficients, evidences, strict=True):
+        odds += coefficient * plane
+    likely: FloatMap = (1 / (1 + np.exp(-odds))).astype(np.float32)
+    return likely
+
+
+def _bands(shape: tuple[int, ...]) -> Iterator[slice]:
+    rows = max(1, _BAND_PIXELS // max(shape[1], 1))
+    for first in range(0, shape[0], rows):
+        yield slice(first, min(first + rows, shape[0]))
+
+
+def _rows_of(estimate: Estimate, rows: slice) -> Estimate:
+    return Estimate(
+        **{one.name: getattr(estimate, one.name)[..., rows, :] for one in fields(estimate)}
+    )
+
+
+def _rows_of_window(window: Rectangle, rows: slice) -> Rectangle:
+    return Rectangle(window.x0, window.y0 + rows.start, window.width, rows.stop - rows.start)
