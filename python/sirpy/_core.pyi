@@ -194,12 +194,14 @@ class PlanarCompletionOptions:
     """Units and bounds: cpp/src/patch_match/planar_completion.h."""
 
     grey_step: float
+    edge_texture: float
     weak_texture: float
     min_consistent: int
     tolerance: float
     min_share: float
     min_samples: int
     max_error: float
+    rounds: int
     threads: int
 
 def complete_planes(

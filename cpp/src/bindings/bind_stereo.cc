@@ -218,11 +218,13 @@ void BindStereo(py::module_& module) {
       .def(py::init<>())
       .def_readwrite("grey_step", &PlanarCompletionOptions::grey_step)
       .def_readwrite("weak_texture", &PlanarCompletionOptions::weak_texture)
+      .def_readwrite("edge_texture", &PlanarCompletionOptions::edge_texture)
       .def_readwrite("min_consistent", &PlanarCompletionOptions::min_consistent)
       .def_readwrite("tolerance", &PlanarCompletionOptions::tolerance)
       .def_readwrite("min_share", &PlanarCompletionOptions::min_share)
       .def_readwrite("min_samples", &PlanarCompletionOptions::min_samples)
       .def_readwrite("max_error", &PlanarCompletionOptions::max_error)
+      .def_readwrite("rounds", &PlanarCompletionOptions::rounds)
       .def_readwrite("threads", &PlanarCompletionOptions::threads);
 
   py::class_<OwnedViewWindow>(module, "ViewWindow")

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
@@ -44,7 +45,6 @@ std::vector<Offset> RayOffsets() {
 // Sums of 3x3 grey levels; the border is repeated.
 std::vector<int16_t> Smoothed(const uint8_t* grey, int width, int height) {
   std::vector<int16_t> sums(size_t(width) * height);
-#pragma omp parallel for
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; ++x) {
       int sum = 0;
@@ -143,6 +143,12 @@ Support LeastSquares(const Samples& samples, const Fit& fit, float tolerance) {
   return support;
 }
 
+// What is known of a pixel: what the pass found, or the plane that it has been given.
+struct Evidence {
+  float rho = 0;      // inverse depth of a reliable pixel, otherwise 0
+  float texture = 0;  // 0: of a plane around
+};
+
 class Completer {
  public:
   Completer(const CompletionMaps& maps, const std::vector<Vector3d>& source_centres,
@@ -154,37 +160,57 @@ class Completer {
         height_(int(maps.window.height)),
         offsets_(RayOffsets()),
         grey_(Smoothed(maps.grey, width_, height_)),
-        reliable_(size_t(width_) * height_) {
+        evidence_(size_t(width_) * height_),
+        result_{{maps.depth, maps.depth + maps.window.Area()},
+                {maps.normal, maps.normal + 3 * maps.window.Area()},
+                std::vector<uint8_t>(size_t(width_) * height_, 0)} {
     const double scale = 1.0 / (1 << maps.level);
     fx_ = maps.intrinsics(0, 0) * scale;
     fy_ = maps.intrinsics(1, 1) * scale;
     cx_ = maps.intrinsics(0, 2) * scale - 0.5 - double(maps.window.x0);
     cy_ = maps.intrinsics(1, 2) * scale - 0.5 - double(maps.window.y0);
-    for (size_t i = 0; i < reliable_.size(); ++i) {
-      const bool is = maps.depth[i] > 0 && maps.num_consistent[i] >= options.min_consistent;
-      reliable_[i] = is ? 1 / maps.depth[i] : 0;
+    for (size_t i = 0; i < evidence_.size(); ++i) {
+      const bool reliable = maps.depth[i] > 0 && maps.num_consistent[i] >= options.min_consistent;
+      evidence_[i] = {reliable ? 1 / maps.depth[i] : 0, maps.texture[i]};
     }
   }
 
-  void CompleteRow(int y, PlanarCompletion* result) const {
-    Samples samples;
-    for (int x = 0; x < width_; ++x) {
-      const int64_t at = int64_t(y) * width_ + x;
-      if (reliable_[at] > 0 && maps_.texture[at] > options_.weak_texture) continue;
-      const double motion = Motion(x, y);
-      Collect(x, y, float(motion), &samples);
-      if (samples.count < options_.min_samples) continue;
-      const Support support = BestPlane(samples, x, y);
-      if (support.count < options_.min_samples ||
-          support.count < options_.min_share * samples.count ||
-          !(support.error <= options_.max_error) || !(support.plane(0) > 0)) {
-        continue;
+  PlanarCompletion Run() && {
+    const int threads = options_.threads > 0 ? options_.threads : omp_get_num_procs();
+    for (int round = 0; round < options_.rounds; ++round) {
+#pragma omp parallel for schedule(dynamic) num_threads(threads)
+      for (int y = 0; y < height_; ++y) CompleteRow(y);
+      for (size_t i = 0; i < evidence_.size(); ++i) {
+        if (result_.completed[i]) evidence_[i] = {1 / result_.depth[i], 0};
       }
-      Store(support.plane / motion, x, y, result);
     }
+    return std::move(result_);
   }
 
  private:
+  void CompleteRow(int y) {
+    Samples samples;
+    for (int x = 0; x < width_; ++x) {
+      const Evidence& own = evidence_[int64_t(y) * width_ + x];
+      if (own.rho > 0 && own.texture > options_.edge_texture) continue;
+      const double motion = Motion(x, y);
+      // The less contrast in the patches, the less they know of what is beside the surface.
+      for (const double texture : {options_.weak_texture / 4, options_.weak_texture}) {
+        Collect(x, y, float(motion), float(texture), &samples);
+        const Support support = BestPlane(samples, x, y);
+        if (!Suffices(support, samples.count)) continue;
+        Store(support.plane / motion, x, y);
+        break;
+      }
+    }
+  }
+
+  bool Suffices(const Support& support, int num_samples) const {
+    return support.count >= options_.min_samples &&
+           support.count >= options_.min_share * num_samples &&
+           support.error <= options_.max_error && support.plane(0) > 0;
+  }
+
   // Pixels that the image of the pixel moves in the sources it was matched in (all where there is
   // none), their mean, for one unit of inverse depth.
   double Motion(int x, int y) const {
@@ -200,7 +226,8 @@ class Completer {
     return fx_ * sum / std::max(count, 1);
   }
 
-  void Collect(int x, int y, float motion, Samples* samples) const {
+  // Reliable pixels that lie as it were on the same surface, with no more texture than this.
+  void Collect(int x, int y, float motion, float texture, Samples* samples) const {
     samples->count = 0;
     const int here = grey_[int64_t(y) * width_ + x];
     const int most = int(9 * options_.grey_step);
@@ -211,10 +238,11 @@ class Completer {
         if (u < 0 || v < 0 || u >= width_ || v >= height_) break;
         const int64_t at = int64_t(v) * width_ + u;
         if (std::abs(grey_[at] - here) > most) break;
-        if (!(reliable_[at] > 0)) continue;
+        const Evidence& evidence = evidence_[at];
+        if (!(evidence.rho > 0) || evidence.texture > texture) continue;
         samples->x[samples->count] = float(offset.dx);
         samples->y[samples->count] = float(offset.dy);
-        samples->shift[samples->count++] = reliable_[at] * motion;
+        samples->shift[samples->count++] = evidence.rho * motion;
       }
     }
   }
@@ -223,6 +251,8 @@ class Completer {
     const float tolerance = float(options_.tolerance);
     const uint64_t pixel =
         uint64_t(uint32_t(maps_.window.y0 + y)) << 32 | uint32_t(maps_.window.x0 + x);
+    Support support;
+    if (samples.count < options_.min_samples) return support;
     Fit best;
     float least = INFINITY;
     for (int i = 0; i < kTriples; ++i) {
@@ -239,7 +269,6 @@ class Completer {
         best = fit;
       }
     }
-    Support support;
     if (!(least < INFINITY)) return support;
     for (int i = 0; i < kFits; ++i) {
       support = LeastSquares(samples, best, tolerance);
@@ -248,14 +277,14 @@ class Completer {
     return support;
   }
 
-  void Store(const Vector3d& plane, int x, int y, PlanarCompletion* result) const {
+  void Store(const Vector3d& plane, int x, int y) {
     const int64_t at = int64_t(y) * width_ + x, size = int64_t(width_) * height_;
     const Vector3d inward(fx_ * plane(1), fy_ * plane(2),
                           plane(0) - plane(1) * (x - cx_) - plane(2) * (y - cy_));
     const Vector3d normal = -inward.normalized();
-    result->depth[at] = float(1 / plane(0));
-    for (int i = 0; i < 3; ++i) result->normal[at + i * size] = float(normal(i));
-    result->completed[at] = 1;
+    result_.depth[at] = float(1 / plane(0));
+    for (int i = 0; i < 3; ++i) result_.normal[at + i * size] = float(normal(i));
+    result_.completed[at] = 1;
   }
 
   const CompletionMaps& maps_;
@@ -264,8 +293,9 @@ class Completer {
   int width_, height_;
   double fx_, fy_, cx_, cy_;
   std::vector<Offset> offsets_;
-  std::vector<int16_t> grey_;    // 9 times the smoothed grey level
-  std::vector<float> reliable_;  // inverse depth of reliable pixels, otherwise 0
+  std::vector<int16_t> grey_;  // 9 times the smoothed grey level
+  std::vector<Evidence> evidence_;
+  PlanarCompletion result_;
 };
 
 }  // namespace
@@ -279,12 +309,14 @@ void PlanarCompletionOptions::Validate() const {
                                 bound);
   };
   require(grey_step >= 0 && grey_step <= 255, "grey_step", grey_step, "in [0, 255]");
+  require(edge_texture >= 0, "edge_texture", edge_texture, ">= 0");
   require(weak_texture >= 0, "weak_texture", weak_texture, ">= 0");
   require(min_consistent >= 1, "min_consistent", min_consistent, ">= 1");
   require(tolerance > 0, "tolerance", tolerance, "> 0");
   require(min_share > 0 && min_share <= 1, "min_share", min_share, "in (0, 1]");
   require(min_samples >= 4, "min_samples", min_samples, ">= 4");
   require(max_error > 0, "max_error", max_error, "> 0");
+  require(rounds >= 1, "rounds", rounds, ">= 1");
   require(threads >= 0, "threads", threads, ">= 0");
 }
 
@@ -292,16 +324,7 @@ PlanarCompletion CompletePlanes(const CompletionMaps& maps,
                                 const std::vector<Vector3d>& source_centres,
                                 const PlanarCompletionOptions& options) {
   options.Validate();
-  const int64_t size = maps.window.Area();
-  PlanarCompletion result{{maps.depth, maps.depth + size},
-                          {maps.normal, maps.normal + 3 * size},
-                          std::vector<uint8_t>(size_t(size), 0)};
-  const Completer completer(maps, source_centres, options);
-  const int height = int(maps.window.height);
-  const int threads = options.threads > 0 ? options.threads : omp_get_num_procs();
-#pragma omp parallel for schedule(dynamic) num_threads(threads)
-  for (int y = 0; y < height; ++y) completer.CompleteRow(y, &result);
-  return result;
+  return Completer(maps, source_centres, options).Run();
 }
 
 }  // namespace sirpy

@@ -24,13 +24,17 @@ namespace sirpy {
 
 struct PlanarCompletionOptions {
   double grey_step = 6;      // grey levels (smoothed): farther ones are another surface
-  double weak_texture = 64;  // grey levels squared: pixels above keep a depth that sources confirm
-  int min_consistent = 3;    // sources that agree with the depth of a reliable pixel
-  double tolerance = 0.6;    // pixels of motion in the sources: on the plane
-  double min_share = 0.6;    // of the reliable pixels must lie on the plane
-  int min_samples = 12;      // of them
-  double max_error = 0.25;   // pixels of motion: standard error of the plane at the pixel
-  int threads = 0;           // 0: one for each core
+  double edge_texture = 64;  // grey levels squared: above, a depth that sources confirm is kept
+  // Grey levels squared: patches with more contrast do not support a plane. Where the surface has
+  // none, they hold its border, and that may be at the depth of another (a parapet, say).
+  double weak_texture = 16;
+  int min_consistent = 2;   // sources that agree with the depth of a reliable pixel
+  double tolerance = 0.6;   // pixels of motion in the sources: on the plane
+  double min_share = 0.6;   // of the reliable pixels must lie on the plane
+  int min_samples = 12;     // of them
+  double max_error = 0.25;  // pixels of motion: standard error of the plane at the pixel
+  int rounds = 2;           // the planes of one support those of the next
+  int threads = 0;          // 0: one for each core
 
   // Throws std::invalid_argument that names field, value and bound.
   void Validate() const;
