@@ -223,27 +223,31 @@ PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneA
   return result;
 }
 
-// Of `level` only the camera and the window are read.
+// Depths take the place of inverse depths. Of `level` only the camera and the window are read.
 void SetDepths(const Level& level, PlaneArrays* arrays, PatchMatchResult* into) {
   const Planes planes = arrays->View();
   const size_t size = arrays->rho.size();
   PatchMatchResult& result = *into;
-  result.depth.resize(size);
   result.normal.resize(3 * size);
 #pragma omp parallel for
   for (int y = 0; y < level.height; ++y) {
     for (int x = 0; x < level.width; ++x) {
       const size_t at = size_t(y) * level.width + x;
+      float& depth = planes.rho[at];
       // The worst cost means that no source could be compared: there is no depth.
-      if (result.num_seeing[at] == 0 || planes.cost[at] > 2 * patch_match::kWorstCost) continue;
+      if (result.num_seeing[at] == 0 || planes.cost[at] > 2 * patch_match::kWorstCost) {
+        depth = 0;
+        continue;
+      }
       const float dx = float(level.x0 + x) - level.cx, dy = float(level.y0 + y) - level.cy;
       const Eigen::Vector3f inward(level.fx * planes.gx[at], level.fy * planes.gy[at],
                                    planes.rho[at] - planes.gx[at] * dx - planes.gy[at] * dy);
       const Eigen::Vector3f normal = -inward.normalized();
-      result.depth[at] = 1 / planes.rho[at];
+      depth = 1 / depth;
       for (int i = 0; i < 3; ++i) result.normal[at + i * size] = normal[i];
     }
   }
+  result.depth = std::move(arrays->rho);
   result.views = std::move(arrays->views);
 }
 
@@ -351,9 +355,9 @@ int PatchMatchMargin(int iterations) {
 }
 
 PatchMatchMemory PatchMatchBytesPerPixel() {
-  // Reference: planes 20, prior 4, padded grey 1, assessment 10. Source: quads 4. At the end
-  // planes, assessment, depths and normals, 46, are less than this with two sources or more.
-  return {35, 4};
+  // Reference: planes 20, prior 4, padded grey 1, assessment 10; source: quads 4. At the end
+  // planes, assessment and normals.
+  return {35, 4, 42};
 }
 
 }  // namespace sirpy

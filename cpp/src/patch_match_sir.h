@@ -105,11 +105,12 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
 // change its result.
 int PatchMatchMargin(int iterations);
 
-// Bytes per reference pixel and per pixel of one source window at the peak, without what the caller
-// holds.
+// Bytes at the peak, without what the caller holds: either while planes are matched, or at the end,
+// when nothing is held of the sources.
 struct PatchMatchMemory {
   int per_reference_pixel;
   int per_source_pixel;
+  int per_reference_pixel_at_end;
 };
 PatchMatchMemory PatchMatchBytesPerPixel();
 

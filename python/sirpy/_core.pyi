@@ -228,8 +228,9 @@ def patch_match_margin(iterations: int) -> int:
 def shrunk(grey: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     """The mean of each block of factor x factor pixels."""
 
-def patch_match_bytes_per_pixel() -> tuple[int, int]:
-    """Of the reference window, and of each source window, beside what is given."""
+def patch_match_bytes_per_pixel() -> tuple[int, int, int]:
+    """Of the reference window, of each source window, and of the former at the end, when nothing is held
+    of the sources; beside what is given."""
 
 def find_speckles(
     depth: NDArray[np.float32],

@@ -132,10 +132,7 @@ class _Estimator:
                 if of_pass.is_last and unit.sub_image is not None:
                     self._finish(unit, unit.sub_image, of_pass, maps)
                 else:
-                    window, found = self._estimate(unit, unit.kept, of_pass, maps)
-                    if of_pass.complete:
-                        self._complete(unit.native, window, of_pass.level, found)
-                    write_planes(self._output(unit, of_pass), found, unit.kept.slices_in(window))
+                    self._prepare(unit, of_pass, maps)
                 step.advance()
 
     def _output(self, unit: Unit, of_pass: StereoPass) -> Path:
@@ -179,6 +176,13 @@ class _Estimator:
             options=self._core_options(of_pass, native),
         )
         return window, found
+
+    def _prepare(self, unit: Unit, of_pass: StereoPass, before: PassMaps | None) -> None:
+        """A pass that another starts from. Nothing of it is held when the next unit begins."""
+        window, found = self._estimate(unit, unit.kept, of_pass, before)
+        if of_pass.complete:
+            self._complete(unit.native, window, of_pass.level, found)
+        write_planes(self._output(unit, of_pass), found, unit.kept.slices_in(window))
 
     def _complete(
         self,

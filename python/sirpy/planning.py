@@ -27,7 +27,7 @@ from sirpy.view_selection import check_num_sources
 from sirpy.view_windows import ViewSelection
 
 # Python with numpy, pycolmap and rasterio loaded.
-_PROCESS_BYTES = 130_000_000
+_PROCESS_BYTES = 105_000_000
 # Sparse models of an observation, with its share of a point: as solved, undistorted, of the sub-images, and on the
 # way to the disk. Measured: 130 where five photographs see a point, 190 where two do.
 _BYTES_PER_OBSERVATION = 190
@@ -36,6 +36,9 @@ _SLACK = 1.1
 # Bands of rows of the photograph, of the undistorted image and of the files that are open: bytes for each pixel
 # of width, with a lens that bends lines by some per cent. The height does not matter.
 _CUT_BYTES_PER_COLUMN = 3000
+# What stereo hands to its core, for each pixel of the window (grey 1; of the pass before depth 4, normal 12, sources
+# 4) and of each source window (grey 1, inverse depth 4); bands of native pixels on their way to the coarsest level.
+_STEREO_GIVEN, _SHRINKING_BYTES = (21, 5), 50_000_000
 # Depth and its inverse 8, normal 12, colour 3; a point 56 by rows and 45 in arrays.
 _FUSE_BYTES = (124, 8)  # per pixel of the core, and of each source window
 _REPORT_BYTES = 320_000_000  # its pictures, whatever the photographs
@@ -317,12 +320,13 @@ def _predict(
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
     fuse = max(_FUSE_BYTES[0] * area + _FUSE_BYTES[1] * sources for area, sources, _ in found)
-    stereo_bytes = _stereo_bytes_per_pixel()
     stereo = max(
-        stereo_bytes[0] * reference + stereo_bytes[1] * sources
-        for native, sub in [*chosen, *((native, None) for native in looked_at)]
-        for reference, sources in [selection.pixels(native.name, sub)]
+        max(_stereo_bytes(*selection.pixels(native.name, sub)) for native, sub in chosen),
+        max(_stereo_bytes(*selection.pixels(native.name, None)) for native in looked_at)
+        + _SHRINKING_BYTES,
     )
+    in_core, of_source, _ = _core.patch_match_bytes_per_pixel()
+    bytes_per_pixel = in_core + _STEREO_GIVEN[0], of_source + _STEREO_GIVEN[1]
     cached = min(IMAGE_CACHE_BYTES, pixels)
     cores = os.cpu_count() or 1
     count, unit = len(stored), "sub-image"
@@ -359,7 +363,7 @@ def _predict(
         stages=(
             stage("cut", (len(natives), "photograph"), cut, _CUT_TIME * native_pixels, cores),
             stage("views", (count, unit), 0, views_time, 1),
-            stage("stereo", (count, unit), cached + stereo, stereo_time, cores, stereo_bytes),
+            stage("stereo", (count, unit), cached + stereo, stereo_time, cores, bytes_per_pixel),
             stage("fuse", (count, unit), cached + fuse, _FUSE_TIME * core, cores, _FUSE_BYTES),
             stage("report", (1, "page"), _REPORT_BYTES, _REPORT_TIME * core, 1),
         ),
@@ -367,11 +371,13 @@ def _predict(
     )
 
 
-def _stereo_bytes_per_pixel() -> tuple[int, int]:
-    """Of the window that is estimated, and of each source's: of a geometric pass, which holds most."""
-    reference, source = _core.patch_match_bytes_per_pixel()
-    # Beside the core's own: grey 1, and of the pass before depth 4, normal 12, views 4; grey 1, inverse depth 4.
-    return reference + 21, source + 5
+def _stereo_bytes(reference_pixels: int, source_pixels: int) -> int:
+    """Of a geometric pass, which holds most, over so many pixels of its window and of its sources' windows."""
+    reference, source, at_end = _core.patch_match_bytes_per_pixel()
+    given = _STEREO_GIVEN[0] * reference_pixels + _STEREO_GIVEN[1] * source_pixels
+    return given + max(
+        reference * reference_pixels + source * source_pixels, at_end * reference_pixels
+    )
 
 
 def _bytes_on_disk(native: NativeImage) -> float:

@@ -259,7 +259,8 @@ void BindStereo(py::module_& module) {
       py::arg("grey").noconvert(), py::arg("factor"));
   module.def("patch_match_bytes_per_pixel", [] {
     const PatchMatchMemory memory = PatchMatchBytesPerPixel();
-    return py::make_tuple(memory.per_reference_pixel, memory.per_source_pixel);
+    return py::make_tuple(memory.per_reference_pixel, memory.per_source_pixel,
+                          memory.per_reference_pixel_at_end);
   });
   module.def("find_speckles", &RunFindSpeckles, py::arg("depth").noconvert(),
              py::arg("normal").noconvert(), py::kw_only(), py::arg("intrinsics"), py::arg("x0"),
