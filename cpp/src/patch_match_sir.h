@@ -48,9 +48,9 @@ struct PatchMatchOptions {
 // A window of a native image; arrays are not owned and hold rectangle.height x rectangle.width
 // pixels.
 struct ViewWindow {
-  Eigen::Matrix3d intrinsics;  // K of the whole native image
-  Eigen::Matrix3d rotation;    // cam_from_world
-  Eigen::Vector3d translation;
+  Eigen::Matrix3d intrinsics = Eigen::Matrix3d::Identity();  // K of the whole native image
+  Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();    // cam_from_world
+  Eigen::Vector3d translation = Eigen::Vector3d::Zero();
   int level = 0;        // a source that samples the surface finer is given at a coarser level
   Rectangle rectangle;  // pixels of the level
   const uint8_t* grey = nullptr;  // null: a source that sees nothing of this window
