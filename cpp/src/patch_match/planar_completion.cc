@@ -11,6 +11,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 
+#include "patch_match/level.h"
 #include "patch_match/random.h"
 
 namespace sirpy {
@@ -18,6 +19,7 @@ namespace {
 
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
+using patch_match::kMaxSources;
 
 constexpr int kDirections = 16;
 constexpr int kSteps = 24;    // of a ray, two pixels each: 48 pixels
@@ -324,6 +326,9 @@ PlanarCompletion CompletePlanes(const CompletionMaps& maps,
                                 const std::vector<Vector3d>& source_centres,
                                 const PlanarCompletionOptions& options) {
   options.Validate();
+  if (source_centres.size() > kMaxSources) {
+    throw std::invalid_argument("CompletePlanes: at most 32 sources are possible");
+  }
   return Completer(maps, source_centres, options).Run();
 }
 
