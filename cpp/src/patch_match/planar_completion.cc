@@ -11,6 +11,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 
+#include "patch_match/level.h"
 #include "patch_match/random.h"
 
 namespace sirpy {
@@ -18,11 +19,13 @@ namespace {
 
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
+using patch_match::kMaxSources;
 
 constexpr int kDirections = 16;
-constexpr int kSteps = 24;    // of a ray, two pixels each: 48 pixels
-constexpr int kTriples = 32;  // planes that are tried
-constexpr int kFits = 3;      // to the samples on the plane, each time found anew
+constexpr int kSteps = 24;      // of a ray, two pixels each: 48 pixels
+constexpr int kTriples = 32;    // planes that are tried
+constexpr float kGood = 0.15f;  // no more are, where the misfit of one is this share of the worst
+constexpr int kFits = 3;        // to the samples on the plane, each time found anew
 constexpr int kMaxSamples = kDirections * kSteps;
 
 // The steps of the rays, from pixel to pixel of the direction rounded.
@@ -115,30 +118,28 @@ struct Support {
   double error = INFINITY;            // standard error at the pixel
 };
 
-// Least squares of the samples within the tolerance of `fit`.
+// Least squares of the samples within the tolerance of `fit`, in doubles; what is fitted are their
+// residuals, so nothing is lost to cancellation.
 Support LeastSquares(const Samples& samples, const Fit& fit, float tolerance) {
+  double sums[10] = {};  // of 1, x, y, x x, x y, y y, r, x r, y r, r r
+  for (int i = 0; i < samples.count; ++i) {
+    const double x = samples.x[i], y = samples.y[i];
+    const double r = samples.shift[i] - fit.at - fit.across * x - fit.down * y;
+    const double on = std::abs(r) <= tolerance ? 1 : 0;
+    const double terms[10] = {1, x, y, x * x, x * y, y * y, r, x * r, y * r, r * r};
+    for (int k = 0; k < 10; ++k) sums[k] += on * terms[k];
+  }
   Support support;
-  Matrix3d normal = Matrix3d::Zero();
-  Vector3d right = Vector3d::Zero();
-  for (int i = 0; i < samples.count; ++i) {
-    if (Residual(samples, fit, i) > tolerance) continue;
-    const Vector3d row(1, samples.x[i], samples.y[i]);
-    normal += row * row.transpose();
-    right += row * double(samples.shift[i]);
-    ++support.count;
-  }
+  support.count = int(sums[0]);
   if (support.count < 4) return support;
+  Matrix3d normal;
+  normal << sums[0], sums[1], sums[2], sums[1], sums[3], sums[4], sums[2], sums[4], sums[5];
+  const Vector3d right(sums[6], sums[7], sums[8]);
   const Eigen::LDLT<Matrix3d> solver(normal);
-  if (!(solver.rcond() > 1e-12)) return support;
-  support.plane = solver.solve(right);
-  double squares = 0;
-  for (int i = 0; i < samples.count; ++i) {
-    if (Residual(samples, fit, i) > tolerance) continue;
-    const double residual =
-        samples.shift[i] - support.plane.dot(Vector3d(1, samples.x[i], samples.y[i]));
-    squares += residual * residual;
-  }
-  const double variance = squares / (support.count - 3);
+  if (!(solver.rcond() > 1e-9)) return support;  // nearly on one line
+  const Vector3d correction = solver.solve(right);
+  support.plane = Vector3d(fit.at, fit.across, fit.down) + correction;
+  const double variance = std::max(sums[9] - correction.dot(right), 0.0) / (support.count - 3);
   support.error = std::sqrt(variance * solver.solve(Vector3d::UnitX())(0));
   return support;
 }
@@ -268,6 +269,7 @@ class Completer {
         least = misfit;
         best = fit;
       }
+      if (least <= kGood * tolerance * tolerance * float(samples.count)) break;
     }
     if (!(least < INFINITY)) return support;
     for (int i = 0; i < kFits; ++i) {
@@ -324,6 +326,9 @@ PlanarCompletion CompletePlanes(const CompletionMaps& maps,
                                 const std::vector<Vector3d>& source_centres,
                                 const PlanarCompletionOptions& options) {
   options.Validate();
+  if (source_centres.size() > kMaxSources) {
+    throw std::invalid_argument("CompletePlanes: at most 32 sources are possible");
+  }
   return Completer(maps, source_centres, options).Run();
 }
 
