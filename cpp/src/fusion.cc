@@ -177,9 +177,8 @@ void Check(const DepthView& reference, const std::vector<DepthView>& sources,
     if (!satisfied) throw std::invalid_argument("Fuse: " + what);
   };
   const int64_t side = blocks.side;
-  require(side >= 1 &&
-              Rectangle{0, 0, side * blocks.columns, side * blocks.rows}.Contains(
-                  reference.rectangle),
+  require(side >= 1 && Rectangle{0, 0, side * blocks.columns, side * blocks.rows}.Contains(
+                           reference.rectangle),
           "the blocks must cover the reference window");
   uint32_t named = 0;
   for (int i = 0; i < blocks.columns * blocks.rows; ++i) named |= blocks.allowed[i];

@@ -217,10 +217,8 @@ PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneA
   Assessment assessment{result.cost.data(), result.texture.data(), result.num_seeing.data(),
                         result.num_consistent.data()};
 #pragma omp parallel for schedule(dynamic)
-  for (int y = 0; y < level.height; ++y) kernels.refine_row(level, options, &planes, y);
-#pragma omp parallel for schedule(dynamic)
   for (int y = 0; y < level.height; ++y) {
-    kernels.assess_row(level, options, planes, &assessment, y);
+    kernels.finish_row(level, options, &planes, &assessment, y);
   }
   return result;
 }

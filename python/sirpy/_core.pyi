@@ -190,6 +190,36 @@ def patch_match(
     """depth, normal, views, cost, texture, num_seeing, num_consistent of the reference window;
     points: n x (x, y, depth)."""
 
+class PlanarCompletionOptions:
+    """Units and bounds: cpp/src/patch_match/planar_completion.h."""
+
+    grey_step: float
+    weak_texture: float
+    min_consistent: int
+    tolerance: float
+    min_share: float
+    min_samples: int
+    max_error: float
+    threads: int
+
+def complete_planes(
+    *,
+    level: int,
+    x0: int,
+    y0: int,
+    intrinsics: NDArray[np.float64],
+    grey: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    normal: NDArray[np.float32],
+    views: NDArray[np.uint32],
+    texture: NDArray[np.float32],
+    num_consistent: NDArray[np.uint8],
+    source_centres: NDArray[np.float64],
+    options: PlanarCompletionOptions,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
+    """depth, normal and 1 where they are those of a plane around; source_centres: n x 3, in the
+    camera frame."""
+
 def patch_match_margin(iterations: int) -> int:
     """Pixels of the level around a pixel that its result depends on."""
 

@@ -72,7 +72,7 @@ def passes(coarsest: int, options: StereoOptions) -> list[StereoPass]:
     levels between halve the pixel."""
     return [
         StereoPass(coarsest, "photometric", 4, largest_step=8),
-        StereoPass(coarsest, "geometric", 2),
+        StereoPass(coarsest, "geometric", 2, complete=True),
         *(StereoPass(level, "photometric", 2) for level in range(coarsest - 1, 0, -1)),
         StereoPass(0, "photometric", options.native_iterations, offers=5),
         StereoPass(0, "geometric", options.geometric_iterations, offers=5),
@@ -180,7 +180,39 @@ class _Estimator:
     def _prepare(self, unit: Unit, of_pass: StereoPass, before: PassMaps | None) -> None:
         """A pass that another starts from. Nothing of it is held when the next unit begins."""
         window, found = self._estimate(unit, unit.kept, of_pass, before)
+        if of_pass.complete:
+            self._complete(unit.native, window, of_pass.level, found)
         write_planes(self._output(unit, of_pass), found, unit.kept.slices_in(window))
+
+    def _complete(
+        self,
+        native: NativeImage,
+        window: Rectangle,
+        level: int,
+        found: dict[str, npt.NDArray[Any]],
+    ) -> None:
+        """Gives weak texture in `found` the planes around it (cpp/src/patch_match/planar_completion.h)."""
+        camera = self._scene.cameras[native.name]
+        sources = self._views.fields[native.name].sources
+        if not sources:
+            return
+        centres = np.stack([self._scene.cameras[source.name].centre for source in sources])
+        options = _core.PlanarCompletionOptions()
+        options.threads = self._options.threads
+        found["depth"], found["normal"], _ = _core.complete_planes(
+            level=level,
+            x0=window.x0,
+            y0=window.y0,
+            intrinsics=camera.intrinsics,
+            grey=read_grey(self._workspace, native, window, level),
+            depth=found["depth"],
+            normal=found["normal"],
+            views=found["views"],
+            texture=found["texture"],
+            num_consistent=found["num_consistent"],
+            source_centres=camera.in_camera(centres),
+            options=options,
+        )
 
     def _finish(
         self, unit: Unit, sub_image: SubImage, of_pass: StereoPass, before: PassMaps | None

@@ -38,6 +38,7 @@ class StereoPass:
     all_sources: bool = True  # of a block, not only those used around a pixel
     select_views: bool = True  # choose the sources of a pixel anew
     largest_step: float = 2.0  # pixels of motion in the sources, of the first refinement
+    complete: bool = False  # weak texture takes the planes around it; of whole photographs only
 
     @property
     def name(self) -> str:

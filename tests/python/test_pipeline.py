@@ -182,9 +182,9 @@ def test_a_killed_run_goes_on_where_it_was_and_ends_the_same(
 
 def test_other_options_do_the_stage_again(town: Path, tmp_path: Path) -> None:
     output = tmp_path / "out"
-    few = StereoOptions(geometric_iterations=1)
+    more = StereoOptions(geometric_iterations=2)
     arguments = {"model": town / "sparse", "grid": Grid(1, 1), "num_sources": 2}
-    reconstruct(town / "images", output, stereo_options=few, **arguments)
+    reconstruct(town / "images", output, stereo_options=more, **arguments)
     first = (output / "fused.ply").read_bytes()
     reconstruct(town / "images", output, stereo_options=StereoOptions(), **arguments)
     assert (output / "fused.ply").read_bytes() != first

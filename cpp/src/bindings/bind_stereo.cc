@@ -7,6 +7,7 @@
 #include "bindings/bindings.h"
 #include "depth_filter.h"
 #include "patch_match/level.h"
+#include "patch_match/planar_completion.h"
 #include "patch_match/pyramid.h"
 #include "patch_match_sir.h"
 
@@ -111,6 +112,53 @@ py::dict RunPatchMatch(const OwnedViewWindow& reference,
   return maps;
 }
 
+py::tuple RunCompletePlanes(int level, int64_t x0, int64_t y0, const Eigen::Matrix3d& intrinsics,
+                            const Array<uint8_t>& grey, const Array<float>& depth,
+                            const Array<float>& normal, const Array<uint32_t>& views,
+                            const Array<float>& texture, const Array<uint8_t>& num_consistent,
+                            const Array<double>& source_centres,
+                            const PlanarCompletionOptions& options) {
+  CheckDimensions(source_centres, 2, "source_centres");
+  if (source_centres.shape(1) != 3) throw py::value_error("source_centres must have 3 columns");
+  std::vector<Eigen::Vector3d> centres;
+  for (py::ssize_t i = 0; i < source_centres.shape(0); ++i) {
+    centres.emplace_back(source_centres.at(i, 0), source_centres.at(i, 1), source_centres.at(i, 2));
+  }
+  CheckDimensions(grey, 2, "grey");
+  const py::ssize_t height = grey.shape(0), width = grey.shape(1);
+  const auto check = [&](const auto& map, const char* name) {
+    CheckDimensions(map, 2, name);
+    if (map.shape(0) != height || map.shape(1) != width) {
+      throw py::value_error(std::string(name) + " must have the size of grey");
+    }
+  };
+  check(depth, "depth");
+  check(views, "views");
+  check(texture, "texture");
+  check(num_consistent, "num_consistent");
+  CheckDimensions(normal, 3, "normal");
+  if (normal.shape(0) != 3 || normal.shape(1) != height || normal.shape(2) != width) {
+    throw py::value_error("normal must have 3 planes of the size of grey");
+  }
+  const CompletionMaps maps{level,
+                            {x0, y0, width, height},
+                            intrinsics,
+                            grey.data(),
+                            depth.data(),
+                            normal.data(),
+                            views.data(),
+                            texture.data(),
+                            num_consistent.data()};
+  PlanarCompletion result;
+  {
+    py::gil_scoped_release release;
+    result = CompletePlanes(maps, centres, options);
+  }
+  return py::make_tuple(ToArray(std::move(result.depth), {height, width}),
+                        ToArray(std::move(result.normal), {3, height, width}),
+                        ToArray(std::move(result.completed), {height, width}));
+}
+
 PlaneMap MakePlaneMap(const Array<float>& depth, const Array<float>& normal,
                       const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0) {
   CheckDimensions(depth, 2, "depth");
@@ -166,6 +214,17 @@ void BindStereo(py::module_& module) {
       .def_readwrite("threads", &PatchMatchOptions::threads)
       .def("validate", &PatchMatchOptions::Validate);
 
+  py::class_<PlanarCompletionOptions>(module, "PlanarCompletionOptions")
+      .def(py::init<>())
+      .def_readwrite("grey_step", &PlanarCompletionOptions::grey_step)
+      .def_readwrite("weak_texture", &PlanarCompletionOptions::weak_texture)
+      .def_readwrite("min_consistent", &PlanarCompletionOptions::min_consistent)
+      .def_readwrite("tolerance", &PlanarCompletionOptions::tolerance)
+      .def_readwrite("min_share", &PlanarCompletionOptions::min_share)
+      .def_readwrite("min_samples", &PlanarCompletionOptions::min_samples)
+      .def_readwrite("max_error", &PlanarCompletionOptions::max_error)
+      .def_readwrite("threads", &PlanarCompletionOptions::threads);
+
   py::class_<OwnedViewWindow>(module, "ViewWindow")
       .def(py::init(&MakeViewWindow), py::kw_only(), py::arg("intrinsics"),
            py::arg("cam_from_world"), py::arg("level"), py::arg("x0"), py::arg("y0"),
@@ -179,6 +238,12 @@ void BindStereo(py::module_& module) {
              py::arg("block_side"), py::arg("allowed").noconvert(),
              py::arg("min_depth").noconvert(), py::arg("max_depth").noconvert(),
              py::arg("points").noconvert(), py::arg("start"), py::arg("options"));
+  module.def("complete_planes", &RunCompletePlanes, py::kw_only(), py::arg("level"), py::arg("x0"),
+             py::arg("y0"), py::arg("intrinsics"), py::arg("grey").noconvert(),
+             py::arg("depth").noconvert(), py::arg("normal").noconvert(),
+             py::arg("views").noconvert(), py::arg("texture").noconvert(),
+             py::arg("num_consistent").noconvert(), py::arg("source_centres").noconvert(),
+             py::arg("options"));
   module.def("patch_match_margin", &PatchMatchMargin, py::arg("iterations"));
   module.def(
       "shrunk",

@@ -56,7 +56,8 @@ SIRPY_FUNCTION void SourceCosts(const Level& level, const Group& group, Words so
 
 struct Cost {
   Floats value;
-  Floats shift;  // pixels of motion in the sources per unit of inverse depth, their mean
+  Floats shift;        // pixels of motion in the sources per unit of inverse depth, their mean
+  Floats photometric;  // the mean of the NCC costs alone
 };
 
 // The cost of a plane: the weighted mean over the used sources of the NCC cost (of `known`, where
@@ -65,7 +66,7 @@ struct Cost {
 SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, const Group& group,
                               const Prior& prior, const ViewWeights& views, const Plane& plane,
                               Floats bound, const Floats* known = nullptr) {
-  const Cost rejected{Splat(kRejected), Floats{}};
+  const Cost rejected{Splat(kRejected), Floats{}, Splat(kWorstCost)};
   const Ints possible = IsPossible(level, group, plane);
   if (!Any(possible)) return rejected;
   Floats weights{};
@@ -75,11 +76,14 @@ SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, 
   const Floats photometric_scale = (1.f - prior.trust) * scale;
   const Floats geometric_scale = options.geometric_weight * scale;
 
-  Floats value = Select(compared, Floats{}, (1.f - prior.trust) * kWorstCost), shift{}, seen{};
+  Floats value = Select(compared, Floats{}, (1.f - prior.trust) * kWorstCost), shift{}, seen{},
+         photometric{};
   for (Sources j{views.any}; j.more(); j.next()) {
     const Floats weight = views.weight[*j];
     const Warp warp = WarpPatch(level, group, *j, plane);
-    value += photometric_scale * weight * (known ? known[*j] : NccCost(level, group, *j, warp));
+    const Floats ncc_cost = known ? known[*j] : NccCost(level, group, *j, warp);
+    value += photometric_scale * weight * ncc_cost;
+    photometric += weight * ncc_cost;
     if (level.sources[*j].inverse_depth) {
       const Floats error = ForwardBackwardError(level, group, *j, warp);
       const Floats most = Splat(options.max_geometric_error);
@@ -95,6 +99,8 @@ SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, 
       Select(cost.shift > 0.f, Min(Abs(plane.rho - prior.rho) * cost.shift * (1.f / 3.f), Splat(1)),
              Splat(1));
   cost.value = Select(possible, value + prior.trust * deviation, Splat(kRejected));
+  cost.photometric = Select(compared & possible, photometric / Select(compared, weights, Splat(1)),
+                            Splat(kWorstCost));
   return cost;
 }
 
@@ -106,6 +112,7 @@ SIRPY_INLINE void Keep(Ints better, const Plane& plane, const Cost& cost, Plane*
   best->gy = Select(better, plane.gy, best->gy);
   best_cost->value = Select(better, cost.value, best_cost->value);
   best_cost->shift = Select(better, cost.shift, best_cost->shift);
+  best_cost->photometric = Select(better, cost.photometric, best_cost->photometric);
 }
 
 SIRPY_INLINE void Store(const Level& level, const Group& group, const Plane& plane, Floats cost,
@@ -167,7 +174,7 @@ void EvaluateRow(const Level& level, const KernelOptions& options, const Planes*
       const Prior prior = LoadPrior(level, options, group);
       Plane best = LoadPlanes(level, *planes, group);
       Words best_views{};
-      Cost best_cost{Splat(4 * kWorstCost), Floats{}};
+      Cost best_cost{Splat(4 * kWorstCost), Floats{}, Floats{}};
       for (int i = 0; i < count; ++i) {
         Plane plane;
         Words sources;
@@ -264,66 +271,56 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
 }
 
 // Sub-pixel depth: the vertex of the parabola through the costs half a pixel nearer and farther.
-void RefineRow(const Level& level, const KernelOptions& options, Planes* planes, int y) {
-  for (int colour = 0; colour < 2; ++colour) {
-    for (int first = colour; first < level.width; first += 2 * kLanes) {
-      const Group group = LoadGroup(level, options, first, y);
-      const Prior prior = LoadPrior(level, options, group);
-      const Words used = StoredViews(level, *planes, group);
-      const ViewWeights views = EqualWeights(used);
-      const auto cost_of = [&](const Plane& plane) {
-        return PlaneCost(level, options, group, prior, views, plane, Splat(kUnbounded));
-      };
-      Plane best = LoadPlanes(level, *planes, group);
-      Cost cost = cost_of(best);
-      const Floats step = 0.5f / Max(cost.shift, Splat(1e-20f));
-      const auto moved = [&](Floats steps) {
-        Plane plane = best;
-        plane.rho += steps * step;
-        return plane;
-      };
-      const Floats nearer = cost_of(moved(Splat(1))).value;
-      const Floats farther = cost_of(moved(Splat(-1))).value;
-      const Floats curvature = nearer - 2.f * cost.value + farther;
-      const Ints convex = curvature > 1e-6f;
-      const Floats offset = 0.5f * (farther - nearer) / Select(convex, curvature, Splat(1));
-      const Plane vertex = moved(Min(Max(offset, Splat(-1)), Splat(1)));
-      const Cost vertex_cost = cost_of(vertex);
-      Keep(convex & (vertex_cost.value < cost.value), vertex, vertex_cost, &best, &cost);
-      Store(level, group, best, cost.value, used, planes);
-    }
-  }
+SIRPY_INLINE Cost RefineDepth(const Level& level, const KernelOptions& options, const Group& group,
+                              const ViewWeights& views, Plane* best) {
+  const Prior prior = LoadPrior(level, options, group);
+  const auto cost_of = [&](const Plane& plane) {
+    return PlaneCost(level, options, group, prior, views, plane, Splat(kUnbounded));
+  };
+  Cost cost = cost_of(*best);
+  const Floats step = 0.5f / Max(cost.shift, Splat(1e-20f));
+  const auto moved = [&](Floats steps) {
+    Plane plane = *best;
+    plane.rho += steps * step;
+    return plane;
+  };
+  const Floats nearer = cost_of(moved(Splat(1))).value;
+  const Floats farther = cost_of(moved(Splat(-1))).value;
+  const Floats curvature = nearer - 2.f * cost.value + farther;
+  const Ints convex = curvature > 1e-6f;
+  const Floats offset = 0.5f * (farther - nearer) / Select(convex, curvature, Splat(1));
+  const Plane vertex = moved(Min(Max(offset, Splat(-1)), Splat(1)));
+  const Cost vertex_cost = cost_of(vertex);
+  Keep(convex & (vertex_cost.value < cost.value), vertex, vertex_cost, best, &cost);
+  return cost;
 }
 
-void AssessRow(const Level& level, const KernelOptions& options, const Planes& planes,
+// What is known of the final planes of a row, after a last refinement.
+void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
                Assessment* assessment, int y) {
   for (int colour = 0; colour < 2; ++colour) {
     for (int first = colour; first < level.width; first += 2 * kLanes) {
       const Group group = LoadGroup(level, options, first, y);
-      const Words used = StoredViews(level, planes, group);
-      const Plane plane = LoadPlanes(level, planes, group);
+      const Words used = StoredViews(level, *planes, group);
+      Plane plane = LoadPlanes(level, *planes, group);
+      const Cost cost = RefineDepth(level, options, group, EqualWeights(used), &plane);
+      Store(level, group, plane, cost.value, used, planes);
       const Ints possible = IsPossible(level, group, plane);
-      Floats sum{}, weights{}, seeing{}, consistent{};
+      Floats seeing{}, consistent{};
       for (Sources j{UnionOf(group.allowed)}; j.more(); j.next()) {
         const Ints allowed = possible & Has(group.allowed, *j);
         const Warp warp = WarpPatch(level, group, *j, plane);
         seeing += Select(allowed & warp.inside, Splat(1), Floats{});
-        const Ints matched = Has(used, *j);
-        if (Any(matched)) {
-          sum += Select(matched, NccCost(level, group, *j, warp), Floats{});
-          weights += Select(matched, Splat(1), Floats{});
-        }
         if (level.sources[*j].inverse_depth) {
           const Floats error = ForwardBackwardError(level, group, *j, warp);
           const Ints agrees = allowed & (error >= 0.f) & (error < options.consistency);
           consistent += Select(agrees, Splat(1), Floats{});
         }
       }
-      const Floats cost = Select(weights > 0.f, sum / Max(weights, Splat(1)), Splat(kWorstCost));
       const Floats texture = group.spread / group.weight_sum;
       for (int lane = 0; lane < group.count; ++lane) {
         const int64_t at = int64_t(y) * level.width + group.column[lane];
-        assessment->cost[at] = cost[lane];
+        assessment->cost[at] = cost.photometric[lane];
         assessment->texture[at] = texture[lane];
         assessment->num_seeing[at] = uint8_t(seeing[lane]);
         assessment->num_consistent[at] = uint8_t(consistent[lane]);
@@ -335,6 +332,6 @@ void AssessRow(const Level& level, const KernelOptions& options, const Planes& p
 #define SIRPY_STRING_(x) #x
 #define SIRPY_STRING(x) SIRPY_STRING_(x)
 extern const Kernels kKernels;
-const Kernels kKernels = {SIRPY_STRING(SIRPY_ISA), EvaluateRow, SweepRow, RefineRow, AssessRow};
+const Kernels kKernels = {SIRPY_STRING(SIRPY_ISA), EvaluateRow, SweepRow, FinishRow};
 
 }  // namespace sirpy::patch_match::SIRPY_ISA

@@ -72,7 +72,7 @@ struct Planes {
   uint32_t* views = nullptr;  // bit j: source j is used
 };
 
-// What `assess` finds of the final planes.
+// What `finish_row` finds of the final planes.
 struct Assessment {
   float* cost = nullptr;              // photometric cost over the selected sources
   float* texture = nullptr;           // bilaterally weighted variance of the patch, grey levels^2
@@ -99,9 +99,8 @@ struct Kernels {
                        Planes* planes, int y);
   void (*sweep_row)(const Level&, const KernelOptions&, Planes* planes, int y, int colour,
                     int iteration);
-  void (*refine_row)(const Level&, const KernelOptions&, Planes* planes, int y);
-  void (*assess_row)(const Level&, const KernelOptions&, const Planes& planes,
-                     Assessment* assessment, int y);
+  void (*finish_row)(const Level&, const KernelOptions&, Planes* planes, Assessment* assessment,
+                     int y);
 };
 
 // The farthest that half a sweep looks for planes, pixels of the level.

@@ -98,15 +98,16 @@ SIRPY_INLINE ViewWeights SelectViews(const Level& level, const KernelOptions& op
                                      int num_neighbours, int iteration) {
   const float good = 0.8f * __builtin_expf(-float(iteration * iteration) / 90.f);
   const float middling = __builtin_expf(-good * good / (2 * 0.4f * 0.4f));
-  Words neighbours[4] = {};
-  for (int lane = 0; lane < kLanes; ++lane) {
-    const int x = group.column[lane];
-    const int64_t at = int64_t(group.y) * level.width + x;
-    neighbours[0][lane] = x > 0 ? planes.views[at - 1] : 0;
-    neighbours[1][lane] = x + 1 < level.width ? planes.views[at + 1] : 0;
-    neighbours[2][lane] = group.y > 0 ? planes.views[at - level.width] : 0;
-    neighbours[3][lane] = group.y + 1 < level.height ? planes.views[at + level.width] : 0;
-  }
+  const auto views_at = [&](int dx, int dy) {
+    Words used{};
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const int x = group.column[lane] + dx, y = group.y + dy;
+      const bool exists = x >= 0 && x < level.width && y >= 0 && y < level.height;
+      used[lane] = exists ? planes.views[int64_t(y) * level.width + x] : 0;
+    }
+    return used;
+  };
+  const Words neighbours[4] = {views_at(-1, 0), views_at(1, 0), views_at(0, -1), views_at(0, 1)};
   ViewWeights views;
   views.any = UnionOf(candidates);
   for (Sources j{views.any}; j.more(); j.next()) {
