@@ -55,10 +55,11 @@ _ENGINE_BYTES_PER_PIXEL = 200
 _CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.025, 0.7, 0.05
 _STEREO_TIME, _STEREO_TIME_OF_A_SOURCE = 2.5, 3.0
 _VIEWS_TIME = 60_000.0, 1_500.0
-# Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps in both passes (depth 4, normal
-# 12), reason 4 and confidence 4; points per pixel, 27 bytes each in its part and again in the cloud.
+# Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps (depth 4, normal 12, reason 4,
+# confidence 4) and those of the passes, while stereo runs (20 a pass, 27 in all); points per pixel, 27 bytes each in
+# its part and again in the cloud.
 _JPEG_BYTES, _PNG_BYTES = 0.5, 2.0
-_MAP_FILES, _MAP_BYTES = 6, 40
+_MAP_FILES, _MAP_BYTES = 4, 51
 _POINTS_PER_PIXEL, _POINT_BYTES = 0.3, 54
 
 
