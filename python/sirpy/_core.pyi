@@ -127,8 +127,6 @@ class PatchMatchOptions:
 
     iterations: int
     offers: int
-    all_sources: bool
-    select_views: bool
     largest_step: float
     top_views: int
     color_sigma: float

@@ -264,7 +264,7 @@ def cut(
 def views(
     workspace: WorkspaceFolder,
     num_sources: NumSources = 8,
-    halo: Annotated[int, typer.Option(help="Pixels estimated around each sub-image.")] = 32,
+    halo: Annotated[int, typer.Option(help="Pixels estimated around each sub-image.")] = 16,
     quiet: Quiet = False,
 ) -> None:
     """View selection: sources, depth range and windows of each sub-image."""
@@ -331,7 +331,7 @@ def export(
 @app.command()
 def stereo(
     workspace: WorkspaceFolder,
-    max_cost: Annotated[float, typer.Option(help="1 - NCC above which there is no depth.")] = 0.6,
+    max_cost: Annotated[float, typer.Option(help="1 - NCC above which there is no depth.")] = 0.8,
     min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
     explain: Annotated[
         str | None,

@@ -281,8 +281,6 @@ class _Estimator:
         core = _core.PatchMatchOptions()
         core.iterations = of_pass.iterations
         core.offers = of_pass.offers
-        core.all_sources = of_pass.all_sources
-        core.select_views = of_pass.select_views
         core.largest_step = of_pass.largest_step
         core.top_views = self._options.top_views
         core.threads = self._options.threads

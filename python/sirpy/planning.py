@@ -24,10 +24,10 @@ from sirpy.photographs import open_photograph
 from sirpy.rectangle import Grid
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources
-from sirpy.view_windows import ViewSelection
+from sirpy.view_windows import HALO, ViewSelection
 
-# Python with numpy, pycolmap and rasterio loaded.
-_PROCESS_BYTES = 105_000_000
+# Python with numpy, pycolmap and rasterio loaded, and what a plan and a cut leave behind in its heap.
+_PROCESS_BYTES = 135_000_000
 # Sparse models of an observation, with its share of a point: as solved, undistorted, of the sub-images, and on the
 # way to the disk. Measured: 130 where five photographs see a point, 190 where two do.
 _BYTES_PER_OBSERVATION = 190
@@ -46,6 +46,9 @@ _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of t
 # Photographs and sub-images that a plan looks at, evenly chosen when there are more; and sub-images while a grid is
 # searched for.
 _MOST_IMAGES, _MOST_SUB_IMAGES, _MOST_WHILE_SEARCHING = 40, 600, 150
+_WIDEST = (
+    8_192  # of a sub-image, pixels, unless asked for: stereo addresses windows of 32,767 in a row
+)
 _NOTABLE_BYTES = 200_000_000  # of what has to be held of a photograph
 # Pixels that any stereo holds for each pixel of the reference: the reference and about 10 sources, at about 10
 # bytes each, and the maps. For workspaces that are made for other engines.
@@ -110,7 +113,7 @@ def plan(
     region: Region = Region(),
     images: Path | str | None = None,
     num_sources: int = 8,
-    halo: int = 32,
+    halo: int = HALO,
 ) -> Plan:
     """The coarsest grid whose stages stay within `memory`, or the prediction for a given grid.
 
@@ -150,7 +153,7 @@ def plan(
         natives = natives or _cut_images(scene, layout, seeing, names)
         return _predict(selection, candidate, natives, held, notes, most)
 
-    candidates, peaks = [grid] if grid else list(_candidates(scene, region, names)), list[int]()
+    candidates, peaks = [grid] if grid else _candidates(scene, region, names), list[int]()
     if grid is None and memory is not None:
         some = names[:: -(-len(names) // _MOST_IMAGES)]
         first, least = _coarsest(
@@ -228,15 +231,18 @@ def grid_for_memory(
     )
 
 
-def _candidates(scene: NativeScene, region: Region, names: list[str]) -> Iterator[Grid]:
+def _candidates(scene: NativeScene, region: Region, names: list[str]) -> list[Grid]:
     """From one sub-image a photograph to the smallest, as far as every photograph can be cut so."""
     whole = [scene.cameras[name] for name in names]
     cut = [region.roi_of(one.name) or one for one in whole]
     largest = max(cut, key=lambda one: one.width * one.height)
     columns, rows = min(one.width for one in cut), min(one.height for one in cut)
-    for grid in _grids(largest.width, largest.height):
-        if grid.columns <= columns and grid.rows <= rows:
-            yield grid
+    grids = [
+        grid
+        for grid in _grids(largest.width, largest.height)
+        if grid.columns <= columns and grid.rows <= rows
+    ]
+    return [grid for grid in grids if largest.width <= _WIDEST * grid.columns] or grids
 
 
 def _grids(width: int, height: int) -> Iterator[Grid]:

@@ -35,8 +35,6 @@ class StereoPass:
     kind: Pass
     iterations: int  # sweeps
     offers: int = 8  # planes of neighbours that a pixel tries
-    all_sources: bool = True  # of a block, not only those used around a pixel
-    select_views: bool = True  # choose the sources of a pixel anew
     largest_step: float = 2.0  # pixels of motion in the sources, of the first refinement
     complete: bool = False  # weak texture takes the planes around it; of whole photographs only
 

@@ -20,7 +20,7 @@ from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_fields import MOST_LEVELS, MOST_SOURCES, FieldSource, ViewField, field_shape
-from sirpy.view_windows import LEAST_COARSEST, Source, SubImageViews, ViewSelection
+from sirpy.view_windows import HALO, LEAST_COARSEST, Source, SubImageViews, ViewSelection
 from sirpy.workspace import Workspace
 
 MOST_OF_A_BLOCK = 16  # sources that a place is matched against
@@ -48,7 +48,7 @@ def views(
     workspace: Workspace,
     *,
     num_sources: int = 8,
-    halo: int = 32,
+    halo: int = HALO,
     progress: Progress | None = None,
 ) -> Views:
     """Chooses sources, depth ranges and windows; writes views.json and patch-match.cfg.
@@ -57,7 +57,7 @@ def views(
         workspace: with its sub-images and models (see `cut`).
         num_sources: native images that each place is matched against, at most (1 to 16); a
             native image takes those of all its places, 32 at most.
-        halo: native pixels around a sub-image that are estimated with it and thrown away.
+        halo: pixels of each level around a sub-image that are estimated with it and thrown away.
 
     Raises:
         InputError: an option out of range, or no sub-image has a source.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sirpy.errors import InputError
 from sirpy.native_images import SubImage
 from sirpy.native_scene import NativeCamera, NativeScene
 from sirpy.rectangle import Rectangle
@@ -18,6 +19,8 @@ from sirpy.view_fields import ViewField, frustum_corners, projected_boxes, view_
 
 # Pixels of a level: the largest reach of a patch in a source (kMaxReach in ncc.h), and interpolation.
 PATCH_REACH = 18
+HALO = 16  # pixels of each level that are estimated around a sub-image: the default
+_MOST_WIDTH = 1 << 15  # pixels of a source window, as it is read (kMostSourceWidth)
 
 _MOST_COARSE_PIXELS = 2_000_000  # of a whole photograph at the coarsest level
 LEAST_COARSEST = 2
@@ -51,7 +54,7 @@ class ViewSelection:
         covered: by name what the sub-images of each native image hold of it; the others are no
             sources.
         num_sources: native images that each place is matched against, at most.
-        halo: native pixels around a sub-image that are estimated with it.
+        halo: pixels of each level that are estimated around a sub-image.
     """
 
     def __init__(
@@ -72,15 +75,29 @@ class ViewSelection:
         return self._fields[name]
 
     def sub_image(self, name: str, sub_image: SubImage) -> SubImageViews:
-        """Of a sub-image of a native image."""
-        return sub_image_views(
+        """Of a sub-image of a native image.
+
+        Raises:
+            InputError: the window of a source is wider than stereo can address.
+        """
+        field = self.field(name)
+        views = sub_image_views(
             self.scene,
-            self.field(name),
+            field,
             sub_image,
             halo=self._halo,
             coarsest=self.coarsest,
             covered=self._covered,
         )
+        levels = {source.name: source.level for source in field.sources}
+        for source in views.sources:
+            if source.window.width >> levels[source.name] >= _MOST_WIDTH:
+                raise InputError(
+                    f"a sub-image of {name} needs {source.window.width} pixels of each row of "
+                    f"{source.name}, and stereo can address {_MOST_WIDTH - 1}: cut more columns "
+                    "(--columns)"
+                )
+        return views
 
     def pixels(self, name: str, sub_image: SubImage | None) -> tuple[int, int]:
         """Pixels that stereo estimates at once, with the halo, and those of all windows of their sources.

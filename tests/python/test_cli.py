@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+from sirpy import cli, clustering, view_selection
 from sirpy.cli import app
+from sirpy.dense_stereo import StereoOptions
 from sirpy.errors import InputError
+from sirpy.fusion import FusionOptions
 from sirpy.workspace import Workspace
 from typer.testing import CliRunner
 
@@ -47,3 +52,23 @@ def test_regions_and_clusters(town: Path, tmp_path: Path) -> None:
         run(*cut, "--area", area, "--model_crs", "nowhere")
     with pytest.raises(InputError, match="make 2 columns, not 3"):
         run(*cut, "--column-cuts=50", "--columns=3")
+
+
+@pytest.mark.parametrize(
+    ("command", "meant"),
+    [
+        (cli.stereo, StereoOptions),
+        (cli.fuse, FusionOptions),
+        (cli.views, view_selection.views),
+        (cli.clusters, clustering.clusters),
+    ],
+)
+def test_defaults_are_those_of_the_library(command: Any, meant: Any) -> None:
+    library = inspect.signature(meant).parameters
+    shared = {
+        name: one.default
+        for name, one in inspect.signature(command).parameters.items()
+        if name in library and one.default is not inspect.Parameter.empty
+    }
+    assert shared
+    assert shared == {name: library[name].default for name in shared}

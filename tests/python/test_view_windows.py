@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import plane_scene
+from sirpy.errors import InputError
 from sirpy.layout import Layout, Region
 from sirpy.native_images import SubImage
 from sirpy.native_scene import NativeScene
@@ -226,3 +227,12 @@ def test_the_pixels_of_a_pass_are_those_of_its_level() -> None:
     finer = tuple(replace(source, level=1) for source in field.sources)
     selection._fields["003.jpg"] = replace(field, sources=finer)
     assert selection.pixels("003.jpg", whole)[1] == pytest.approx(native[1] / 4, rel=0.1)
+
+
+def test_a_window_wider_than_stereo_can_address_is_refused() -> None:
+    scene = plane_scene(count=2, width=40_000, height=4000, spacing=1, points=100_000)
+    everything = Rectangle(0, 0, 40_000, 4000)
+    whole = SubImage("wide", 0, 0, everything, everything)
+    selection = ViewSelection(scene, dict.fromkeys(scene.cameras, everything), 1, halo=0)
+    with pytest.raises(InputError, match="cut more columns"):
+        selection.sub_image(next(iter(scene.cameras)), whole)
