@@ -134,6 +134,7 @@ std::vector<float> CoplanarShares(const PlaneMap& map) {
   CheckSize(map.window);
   const int64_t width = map.window.width, height = map.window.height;
   std::vector<float> shares(size_t(width * height), 0);
+#pragma omp parallel for
   for (int64_t y = 0; y < height; ++y) {
     for (int64_t x = 0; x < width; ++x) {
       const int64_t pixel = y * width + x;

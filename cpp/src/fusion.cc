@@ -106,23 +106,24 @@ std::optional<Agreement> Agree(const Camera& reference, const Camera& source, do
   return Agreement{step.norm(), 1 / on_ray};
 }
 
-struct Point {
-  Eigen::Vector3d position;
-  Eigen::Vector3f normal;
-  int64_t pixel;
-  uint8_t num_views;
+// What a pixel gives: nothing, or a point at the mean depth.
+struct Fused {
+  std::vector<double> depth;  // 0 where there is no point
+  std::vector<uint8_t> num_views;
 };
 
-struct Row {
-  std::vector<Point> points;
-  int64_t num_inconsistent = 0;
-  int64_t num_yielded = 0;
+struct RowCount {
+  int64_t points = 0, inconsistent = 0, yielded = 0;
 };
 
-Row FuseRow(const Camera& reference, const float* normals,
-            const std::vector<std::optional<Camera>>& sources, const SourceBlocks& blocks,
-            const FusionOptions& options, int64_t row) {
-  Row fused;
+Eigen::Vector3d NormalAt(const float* normals, int64_t pixel, int64_t area) {
+  return {normals[pixel], normals[pixel + area], normals[pixel + 2 * area]};
+}
+
+RowCount FuseRow(const Camera& reference, const float* normals,
+                 const std::vector<std::optional<Camera>>& sources, const SourceBlocks& blocks,
+                 const FusionOptions& options, int64_t row, Fused* fused) {
+  RowCount count;
   const int64_t width = reference.window.width, area = reference.window.Area();
   const uint32_t* allowed_of_row =
       blocks.allowed + (reference.window.y0 + row) / blocks.side * blocks.columns;
@@ -132,7 +133,7 @@ Row FuseRow(const Camera& reference, const float* normals,
     if (rho <= 0) continue;
     const double depth = 1.0 / rho;
     const double x = double(reference.window.x0 + column), y = double(reference.window.y0 + row);
-    const Eigen::Vector3d normal(normals[pixel], normals[pixel + area], normals[pixel + 2 * area]);
+    const Eigen::Vector3d normal = NormalAt(normals, pixel, area);
     const Eigen::Vector3d world_normal = reference.rotation.transpose() * normal;
     const Eigen::Vector3d world = reference.World(x, y, depth);
     const Eigen::Vector3d plane = InverseDepthPlane(reference, normal, x, y, depth);
@@ -155,20 +156,41 @@ Row FuseRow(const Camera& reference, const float* normals,
                               options.yield_footprint * reference.Footprint(world, world_normal));
     }
     if (num_consistent < needed) {
-      ++fused.num_inconsistent;
+      ++count.inconsistent;
       continue;
     }
     // One more than needed must agree before a pixel trusts another view to emit its point.
     if (better_view && num_consistent > needed && !options.keep_duplicates) {
-      ++fused.num_yielded;
+      ++count.yielded;
       continue;
     }
-    const double mean = double(num_consistent + 1) / sum_inverse_depth;
-    fused.points.push_back({reference.World(x, y, mean), world_normal.normalized().cast<float>(),
-                            pixel, uint8_t(num_consistent + 1)});
+    ++count.points;
+    fused->depth[size_t(pixel)] = double(num_consistent + 1) / sum_inverse_depth;
+    fused->num_views[size_t(pixel)] = uint8_t(num_consistent + 1);
   }
-  fused.points.shrink_to_fit();
-  return fused;
+  return count;
+}
+
+// The points of a row, from point `first` on.
+void EmitRow(const Camera& reference, const float* normals, const Fused& fused, int64_t row,
+             int64_t first, FusedPoints* points) {
+  const int64_t width = reference.window.width, area = reference.window.Area();
+  int64_t point = first;
+  for (int64_t column = 0; column < width; ++column) {
+    const int64_t pixel = row * width + column;
+    const double depth = fused.depth[size_t(pixel)];
+    if (depth <= 0) continue;
+    const Eigen::Vector3d position = reference.World(double(reference.window.x0 + column),
+                                                     double(reference.window.y0 + row), depth);
+    const Eigen::Vector3d world_normal =
+        reference.rotation.transpose() * NormalAt(normals, pixel, area);
+    Eigen::Map<Eigen::Vector3d>(&points->position[size_t(3 * point)]) = position;
+    Eigen::Map<Eigen::Vector3f>(&points->normal[size_t(3 * point)]) =
+        world_normal.normalized().cast<float>();
+    points->pixel[size_t(point)] = pixel;
+    points->num_views[size_t(point)] = fused.num_views[size_t(pixel)];
+    ++point;
+  }
 }
 
 void Check(const DepthView& reference, const std::vector<DepthView>& sources,
@@ -208,33 +230,36 @@ FusedPoints Fuse(const DepthView& reference, const float* normal,
     source_cameras.push_back(source.depth ? std::make_optional<Camera>(source) : std::nullopt);
   }
 
+  // Nothing is allocated inside the parallel loops: running out of memory there would end the
+  // process.
   const int64_t height = reference.rectangle.height;
-  std::vector<Row> rows(height);
+  const size_t area = size_t(reference.rectangle.Area());
+  Fused fused{std::vector<double>(area), std::vector<uint8_t>(area)};
+  std::vector<RowCount> counts(height);
   const int threads = options.threads > 0 ? options.threads : omp_get_num_procs();
 #pragma omp parallel for schedule(dynamic) num_threads(threads)
   for (int64_t y = 0; y < height; ++y) {
-    rows[size_t(y)] = FuseRow(reference_camera, normal, source_cameras, blocks, options, y);
+    counts[size_t(y)] =
+        FuseRow(reference_camera, normal, source_cameras, blocks, options, y, &fused);
   }
+  source_cameras.clear();
 
-  size_t count = 0;
-  for (const Row& row : rows) count += row.points.size();
   FusedPoints points;
-  points.position.reserve(3 * count);
-  points.normal.reserve(3 * count);
-  points.pixel.reserve(count);
-  points.num_views.reserve(count);
-  for (Row& row : rows) {
-    // Freed as it is copied, so that the points are held only once.
-    const std::vector<Point> of_row = std::move(row.points);
-    for (const Point& point : of_row) {
-      points.position.insert(points.position.end(), point.position.data(),
-                             point.position.data() + 3);
-      points.normal.insert(points.normal.end(), point.normal.data(), point.normal.data() + 3);
-      points.pixel.push_back(point.pixel);
-      points.num_views.push_back(point.num_views);
-    }
-    points.num_inconsistent += row.num_inconsistent;
-    points.num_yielded += row.num_yielded;
+  std::vector<int64_t> first(height);
+  int64_t count = 0;
+  for (int64_t y = 0; y < height; ++y) {
+    first[size_t(y)] = count;
+    count += counts[size_t(y)].points;
+    points.num_inconsistent += counts[size_t(y)].inconsistent;
+    points.num_yielded += counts[size_t(y)].yielded;
+  }
+  points.position.resize(3 * count);
+  points.normal.resize(3 * count);
+  points.pixel.resize(count);
+  points.num_views.resize(count);
+#pragma omp parallel for num_threads(threads)
+  for (int64_t y = 0; y < height; ++y) {
+    EmitRow(reference_camera, normal, fused, y, first[size_t(y)], &points);
   }
   return points;
 }

@@ -7,7 +7,7 @@
 // A depth is believed when the depths of enough sources agree: forward-backward error below
 // `consistency` pixels (Schoenberger et al., ECCV 2016, section 4.6). The point is the mean of what
 // the agreeing views measure along the ray. A surface that several views see is emitted by one of
-// them: the view of the lowest rank that sees it at no coarser sampling.
+// them: the view of the lowest rank that agrees well and whose pixels are not much coarser there.
 #pragma once
 
 #include <cstdint>

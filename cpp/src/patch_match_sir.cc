@@ -72,6 +72,9 @@ void SetWarp(const ViewWindow& from, const ViewWindow& to, double* a, double* b)
   Eigen::Map<Eigen::Vector3d>(b, 3) = to_intrinsics * translation;
 }
 
+// Pixels: the kernels address the pixels around a position with a stride of 16 bits (ncc.h).
+constexpr int64_t kMostSourceWidth = 1 << 15;
+
 // Of a source without pixels: what the kernels read for a patch outside.
 constexpr float kNoDepth[2] = {};
 
@@ -83,12 +86,11 @@ struct LevelData {
   std::vector<std::vector<uint32_t>> quads;
 };
 
-std::vector<Block> MakeBlocks(const ViewBlocks& blocks, size_t num_sources) {
-  const auto sources = uint32_t((uint64_t(1) << num_sources) - 1);
+std::vector<Block> MakeBlocks(const ViewBlocks& blocks) {
   std::vector<Block> packed(size_t(blocks.columns) * blocks.rows);
   for (size_t i = 0; i < packed.size(); ++i) {
-    if (!(blocks.min_depth[i] > 0)) continue;  // nothing is known: no plane is possible
-    packed[i] = {blocks.allowed[i] & sources, 1 / blocks.max_depth[i], 1 / blocks.min_depth[i]};
+    if (!blocks.allowed[i]) continue;  // nothing to match: no plane is possible
+    packed[i] = {blocks.allowed[i], 1 / blocks.max_depth[i], 1 / blocks.min_depth[i]};
   }
   return packed;
 }
@@ -108,15 +110,13 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
   level.fy = float(intrinsics(1, 1));
   level.cx = float(intrinsics(0, 2));
   level.cy = float(intrinsics(1, 2));
-  data.blocks = MakeBlocks(blocks, sources.size());
+  data.blocks = MakeBlocks(blocks);
   level.blocks = data.blocks.data();
   level.block_side = blocks.side >> reference.level;
   level.block_columns = blocks.columns;
   level.seed = options.seed;
   level.offers = options.offers;
   level.largest_step = float(options.largest_step);
-  level.select_views = options.select_views;
-  level.all_sources = options.all_sources;
   level.num_sources = int(sources.size());
   data.quads.resize(sources.size());
   const bool geometric = std::any_of(sources.begin(), sources.end(), [](const ViewWindow& view) {
@@ -154,22 +154,20 @@ PlaneArrays Initialise(const Level& level, const KernelOptions& options,
   PlaneArrays arrays(level);
   Planes planes = arrays.View();
   const Kernels& kernels = BestKernels();
-#pragma omp parallel
-  {
-    const int count = source.num_candidates();
-    std::vector<float> rows(3 * size_t(level.width) * count);
-    std::vector<uint32_t> views(size_t(level.width) * count);
-    std::vector<Planes> candidates;
-    for (int i = 0; i < count; ++i) {
-      float* row = rows.data() + 3 * size_t(level.width) * i;
-      candidates.push_back({row, row + level.width, row + 2 * level.width, nullptr,
-                            views.data() + size_t(level.width) * i});
-    }
-#pragma omp for schedule(dynamic)
-    for (int y = 0; y < level.height; ++y) {
-      for (int i = 0; i < count; ++i) source.FillRow(y, i, candidates[i]);
-      kernels.evaluate_row(level, options, candidates.data(), count, &planes, y);
-    }
+  // Rows of candidates for each thread, allocated here as above.
+  const size_t count = size_t(source.num_candidates()), width = size_t(level.width);
+  std::vector<Planes> candidates(count * size_t(omp_get_max_threads()));
+  std::vector<float> values(3 * width * candidates.size());
+  std::vector<uint32_t> views(width * candidates.size());
+  for (size_t i = 0; i < candidates.size(); ++i) {
+    float* row = values.data() + 3 * width * i;
+    candidates[i] = {row, row + width, row + 2 * width, nullptr, views.data() + width * i};
+  }
+#pragma omp parallel for schedule(dynamic)
+  for (int y = 0; y < level.height; ++y) {
+    const Planes* own = candidates.data() + count * size_t(omp_get_thread_num());
+    for (size_t i = 0; i < count; ++i) source.FillRow(y, int(i), own[i]);
+    kernels.evaluate_row(level, options, own, int(count), &planes, y);
   }
   return arrays;
 }
@@ -189,17 +187,15 @@ void Sweep(const Level& level, const KernelOptions& options, int iterations, Pla
 
 // Inverse depth that the first candidate of `source` gives each pixel.
 std::vector<float> Prior(const Level& level, const PlaneSource& source) {
-  std::vector<float> prior(size_t(level.width) * level.height);
-#pragma omp parallel
-  {
-    std::vector<float> slopes(2 * size_t(level.width));
-    std::vector<uint32_t> views(level.width);
-#pragma omp for
-    for (int y = 0; y < level.height; ++y) {
-      source.FillRow(y, 0,
-                     {prior.data() + size_t(y) * level.width, slopes.data(),
-                      slopes.data() + level.width, nullptr, views.data()});
-    }
+  const size_t width = size_t(level.width), threads = size_t(omp_get_max_threads());
+  std::vector<float> prior(width * level.height), slopes(2 * width * threads);
+  std::vector<uint32_t> views(width * threads);
+#pragma omp parallel for
+  for (int y = 0; y < level.height; ++y) {
+    const size_t thread = size_t(omp_get_thread_num());
+    float* own = slopes.data() + 2 * width * thread;
+    source.FillRow(
+        y, 0, {prior.data() + width * y, own, own + width, nullptr, views.data() + width * thread});
   }
   return prior;
 }
@@ -286,17 +282,36 @@ void Check(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
   };
   check(reference, 1);
   for (const ViewWindow& source : sources) {
-    if (source.grey) check(source, 2);
+    if (!source.grey) continue;
+    check(source, 2);
+    require(source.rectangle.width < kMostSourceWidth,
+            "a source window must be less than 32768 pixels wide");
   }
   const int64_t side = blocks.side >> reference.level;
   require(side >= 1 && side << reference.level == blocks.side,
           "the side of a block must be a multiple of the level's pixel");
   const Rectangle covered{0, 0, side * blocks.columns, side * blocks.rows};
   require(covered.Contains(reference.rectangle), "the blocks must cover the reference window");
+  for (int i = 0; i < blocks.columns * blocks.rows; ++i) {
+    require(uint64_t(blocks.allowed[i]) >> sources.size() == 0,
+            "a block allows a source that there is not");
+    require(!blocks.allowed[i] ||
+                (blocks.min_depth[i] > 0 && blocks.min_depth[i] <= blocks.max_depth[i]),
+            "the depths of a block must be positive, the least first");
+  }
   if (start) {
-    require(start->level == reference.level || start->level == reference.level + 1,
+    const int coarser = start->level - reference.level;
+    require(coarser == 0 || coarser == 1,
             "the start must be at the level of the reference or one coarser");
     require(start->rectangle.Area() > 0, "the start has no pixels");
+    // Its pixels may begin half a coarse pixel later: those at the border stand for the missing
+    // ones.
+    const Rectangle& window = reference.rectangle;
+    const int64_t x0 = (window.x0 >> coarser) + coarser, y0 = (window.y0 >> coarser) + coarser;
+    const int64_t x1 = ((window.x1() - 1) >> coarser) + 1 - coarser,
+                  y1 = ((window.y1() - 1) >> coarser) + 1 - coarser;
+    require(start->rectangle.Contains({x0, y0, x1 - x0, y1 - y0}),
+            "the start must cover the reference window");
   }
 }
 

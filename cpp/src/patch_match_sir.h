@@ -26,14 +26,12 @@
 namespace sirpy {
 
 struct PatchMatchOptions {
-  int iterations = 2;        // sweeps
-  int offers = 8;            // planes of neighbours that a pixel tries, of 8
-  bool all_sources = true;   // choose among all that are allowed, not only those used around
-  bool select_views = true;  // choose sources anew; otherwise those of the start are kept
-  double largest_step = 2;   // pixels of motion in the sources: the largest refinement at first
-  int top_views = 4;         // sources that a pixel is matched against, at most
-  double color_sigma = 20;   // grey levels: bilateral weight
-  double space_sigma = 3;    // pixels: bilateral weight
+  int iterations = 2;       // sweeps
+  int offers = 8;           // planes of neighbours that a pixel tries, of 8
+  double largest_step = 2;  // pixels of motion in the sources: the largest refinement at first
+  int top_views = 4;        // sources that a pixel is matched against, at most
+  double color_sigma = 20;  // grey levels: bilateral weight
+  double space_sigma = 3;   // pixels: bilateral weight
   double geometric_weight = 0.2;   // cost of one pixel of disagreement with a source's depth
   double max_geometric_error = 3;  // pixels
   double consistency = 1;          // pixels: two depth maps agree

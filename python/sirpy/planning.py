@@ -39,8 +39,8 @@ _CUT_BYTES_PER_COLUMN = 3000
 # What stereo hands to its core, for each pixel of the window (grey 1; of the pass before depth 4, normal 12, sources
 # 4) and of each source window (grey 1, inverse depth 4); bands of native pixels on their way to the coarsest level.
 _STEREO_GIVEN, _SHRINKING_BYTES = (21, 5), 50_000_000
-# Depth and its inverse 8, normal 12, colour 3; a point 56 by rows and 45 in arrays.
-_FUSE_BYTES = (124, 8)  # per pixel of the core, and of each source window
+# Depth and its inverse 8, normal 12, mean depth and number of views 9; a point 45. (Then points 45 and 27, colour 6.)
+_FUSE_BYTES = (80, 8)  # per pixel of the core, and of each source window
 _REPORT_BYTES = 320_000_000  # its pictures, whatever the photographs
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
 # Photographs and sub-images that a plan looks at, evenly chosen when there are more; and sub-images while a grid is

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <random>
+#include <stdexcept>
 #include <utility>
 
 #include <gtest/gtest.h>
@@ -183,6 +185,101 @@ TEST(PatchMatchSir, SameBytesOnAnyNumberOfThreadsAndInstructionSet) {
   EXPECT_EQ(expected.cost, baseline.cost);
 }
 
+// 32 sources: some are not given, some look away or lie behind the surface, and their depths have
+// holes. Blocks end inside groups of lanes, and some of them are not known.
+TEST(PatchMatchSir, SameBytesWhateverTheSources) {
+  Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
+  for (const unsigned seed : {0u, 1u, 2u}) {
+    std::mt19937 random(seed);
+    const auto uniform = [&] { return double(random()) / double(random.max()); };
+    std::vector<RenderedView> views;
+    for (int j = 0; j < 32; ++j) {
+      views.push_back(scene.sources[j % 4]);
+      RenderedView& view = views.back();
+      const double turn = j % 5 == 0 ? 3 * uniform() : 0.05 * uniform();
+      view.rotation = Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitY()) * view.rotation;
+      view.translation += Eigen::Vector3d::Random() * (j % 7 == 0 ? 20 : 0.1);
+      for (float& rho : view.inverse_depth)
+        rho *= uniform() < 0.2 ? 0 : float(0.9 + 0.2 * uniform());
+    }
+    std::vector<ViewWindow> windows;
+    for (size_t j = 0; j < views.size(); ++j) {
+      windows.push_back(j % 6 == 5 ? ViewWindow{} : views[j].Window(true));
+    }
+    std::vector<uint32_t> allowed;
+    std::vector<float> least, most;
+    for (int i = 0; i < 5 * 4; ++i) {
+      allowed.push_back(i % 7 == 3 ? 0 : uint32_t(random()));
+      least.push_back(allowed.back() ? 7 : 0);
+      most.push_back(allowed.back() ? 14 : 0);
+    }
+    const ViewBlocks blocks{37, 5, 4, allowed.data(), least.data(), most.data()};
+    std::vector<uint32_t> used(kWidth * kHeight);
+    for (uint32_t& word : used) word = uint32_t(random() & random() & random());
+    const StartMaps start{0,
+                          {0, 0, kWidth, kHeight},
+                          scene.reference.depth.data(),
+                          scene.reference.normal.data(),
+                          used.data()};
+    const auto run = [&](int threads) {
+      PatchMatchOptions options;
+      options.threads = threads;
+      return PatchMatchSir(scene.reference.Window(), windows, blocks, {}, &start, options);
+    };
+    const PatchMatchResult expected = run(1);
+    EXPECT_GT(std::count_if(expected.depth.begin(), expected.depth.end(),
+                            [](float depth) { return depth > 0; }),
+              1000);
+    const auto expect_same = [&](const PatchMatchResult& found) {
+      EXPECT_EQ(expected.depth, found.depth);  // a NaN would not be equal to itself
+      EXPECT_EQ(expected.normal, found.normal);
+      EXPECT_EQ(expected.cost, found.cost);
+      EXPECT_EQ(expected.views, found.views);
+      EXPECT_EQ(expected.num_seeing, found.num_seeing);
+      EXPECT_EQ(expected.num_consistent, found.num_consistent);
+    };
+    expect_same(run(3));
+    for (const char* set : {"baseline", "avx2"}) {
+      setenv("SIRPY_ISA", set, 1);
+      expect_same(run(2));
+    }
+    unsetenv("SIRPY_ISA");
+  }
+}
+
+TEST(PatchMatchSir, NoMoreSourcesThanAskedFor) {
+  const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
+  PatchMatchOptions options;
+  options.top_views = 1;
+  for (const uint32_t views : scene.Run(options, 1).views) EXPECT_LE(__builtin_popcount(views), 1);
+}
+
+TEST(PatchMatchSir, RefusesWhatMakesNoSense) {
+  const Scene scene(PlaneSurface({0, 0, -1}, -10));
+  const std::vector<ViewWindow> sources = {scene.sources[0].Window()};
+  const auto run = [&](const OneBlock& block, const std::vector<ViewWindow>& windows = {},
+                       const StartMaps* start = nullptr) {
+    PatchMatchSir(scene.reference.Window(), windows.empty() ? sources : windows, block.View(), {},
+                  start, {});
+  };
+  EXPECT_NO_THROW(run({1}));
+  EXPECT_THROW(run({3}), std::invalid_argument);  // there is no second source
+  EXPECT_THROW(run({1, 9, 5}), std::invalid_argument);
+  EXPECT_THROW(run({1, 0, 5}), std::invalid_argument);
+  std::vector<ViewWindow> wide = sources;
+  wide[0].rectangle = {0, 0, 1 << 15, 2};
+  EXPECT_THROW(run({1}, wide), std::invalid_argument);
+  const std::vector<uint32_t> views(kWidth * kHeight);
+  StartMaps start{0,
+                  {0, 0, kWidth, kHeight},
+                  scene.reference.depth.data(),
+                  scene.reference.normal.data(),
+                  views.data()};
+  EXPECT_NO_THROW(run({1}, {}, &start));
+  start.rectangle.x0 = 1;
+  EXPECT_THROW(run({1}, {}, &start), std::invalid_argument);
+}
+
 TEST(PatchMatchSir, WhatLiesWithinTheMarginDoesNotDependOnTheWindow) {
   const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
   PatchMatchOptions options;
@@ -254,8 +351,9 @@ TEST(PatchMatchSir, SmallWindowsAreNoSpecialCase) {
     EXPECT_EQ(scene.RunPass(0, nullptr, {}, window.rectangle).depth.size(), grey.size());
     if (width == 1) continue;
     // As a source it is smaller than a patch: nothing can be compared.
+    const OneBlock one{1};
     const PatchMatchResult blind =
-        PatchMatchSir(scene.reference.Window(), {window}, scene.blocks.View(), {}, nullptr, {});
+        PatchMatchSir(scene.reference.Window(), {window}, one.View(), {}, nullptr, {});
     EXPECT_EQ(std::count(blind.num_seeing.begin(), blind.num_seeing.end(), 0), kWidth * kHeight);
   }
 }
@@ -263,6 +361,7 @@ TEST(PatchMatchSir, SmallWindowsAreNoSpecialCase) {
 TEST(PatchMatchSir, WhatNoSourceSeesHasNoDepth) {
   Scene scene(PlaneSurface({0, 0, -1}, -10));
   scene.sources = {Render({60, 0, 0}, PlaneSurface({0, 0, -1}, -10), kWidth, kHeight)};
+  scene.blocks.allowed = 1;
   const PatchMatchResult result = scene.Run();
   EXPECT_EQ(std::count(result.depth.begin(), result.depth.end(), 0.f), kWidth * kHeight);
 }

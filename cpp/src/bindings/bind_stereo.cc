@@ -200,8 +200,6 @@ void BindStereo(py::module_& module) {
       .def(py::init<>())
       .def_readwrite("iterations", &PatchMatchOptions::iterations)
       .def_readwrite("offers", &PatchMatchOptions::offers)
-      .def_readwrite("all_sources", &PatchMatchOptions::all_sources)
-      .def_readwrite("select_views", &PatchMatchOptions::select_views)
       .def_readwrite("largest_step", &PatchMatchOptions::largest_step)
       .def_readwrite("top_views", &PatchMatchOptions::top_views)
       .def_readwrite("color_sigma", &PatchMatchOptions::color_sigma)

@@ -21,6 +21,17 @@ Eigen::Vector2f Gradient(const Level& level, double x, double y, double rho,
   return Eigen::Vector2d(mx, my).cast<float>() * float(rho / at_pixel);
 }
 
+// The first of random points of a cube that lies in its ball, on the sphere. Sine and cosine would
+// differ from one C library to another.
+template <typename Draw>
+Eigen::Vector3d RandomDirection(const Draw& draw, int first) {
+  for (int i = first;; i += 3) {
+    const Eigen::Vector3d point(2 * draw(i) - 1, 2 * draw(i + 1) - 1, 2 * draw(i + 2) - 1);
+    const double length = point.norm();
+    if (length > 0.1 && length < 1) return point / length;
+  }
+}
+
 }  // namespace
 
 PlaneArrays::PlaneArrays(const Level& level)
@@ -76,7 +87,7 @@ void RandomPlanes::FillRow(int y, int candidate, const Planes& row) const {
     const float high = level_.BlockAt(x, y).max_inverse_depth;
     const uint64_t pixel = uint64_t(uint32_t(level_.y0 + y)) << 32 | uint32_t(level_.x0 + x);
     const auto draw = [&](int number) {
-      return Uniform(Hash(level_.seed, pixel, (uint64_t(1) << 48) + 8 * candidate + number));
+      return Uniform(Hash(level_.seed, pixel, (uint64_t(candidate + 1) << 48) + uint64_t(number)));
     };
     float rho = low + draw(0) * (high - low);
     if (seeded) {
@@ -85,9 +96,7 @@ void RandomPlanes::FillRow(int y, int candidate, const Planes& row) const {
     }
     const double px = level_.x0 + x, py = level_.y0 + y;
     const Eigen::Vector3d ray((px - level_.cx) / level_.fx, (py - level_.cy) / level_.fy, 1);
-    const double z = 2 * draw(1) - 1, angle = 2 * M_PI * draw(2), radius = std::sqrt(1 - z * z);
-    const Eigen::Vector3d on_sphere(radius * std::cos(angle), radius * std::sin(angle), z);
-    const Eigen::Vector3d normal = 0.95 * on_sphere - ray.normalized();
+    const Eigen::Vector3d normal = 0.95 * RandomDirection(draw, 1) - ray.normalized();
     const Eigen::Vector2f gradient = Gradient(level_, px, py, rho, normal);
     row.rho[x] = rho;
     row.gx[x] = gradient.x();

@@ -45,12 +45,12 @@ SIRPY_INLINE Prior LoadPrior(const Level& level, const KernelOptions& options, c
   return prior;
 }
 
-// The NCC costs of a plane in the sources of each lane's set.
-SIRPY_FUNCTION void SourceCosts(const Level& level, const Group& group, Words sources,
-                                const Plane& plane, Floats costs[kMaxSources]) {
-  for (Sources j{UnionOf(sources)}; j.more(); j.next()) {
+// The NCC costs of a plane in the sources that each lane may be matched against.
+SIRPY_FUNCTION void SourceCosts(const Level& level, const Group& group, const Plane& plane,
+                                Floats costs[kMaxSources]) {
+  for (Sources j{UnionOf(group.allowed)}; j.more(); j.next()) {
     const Floats cost = NccCost(level, group, *j, WarpPatch(level, group, *j, plane));
-    costs[*j] = Select(Has(sources, *j), cost, Splat(kWorstCost));
+    costs[*j] = Select(Has(group.allowed, *j), cost, Splat(kWorstCost));
   }
 }
 
@@ -136,13 +136,15 @@ SIRPY_INLINE Words StoredViews(const Level& level, const Planes& planes, const G
 }
 
 // Where a lane has no source: those that suit its present plane best.
-SIRPY_INLINE void ChooseWhereNone(const Level& level, const Group& group, int count,
-                                  const Plane& plane, ViewWeights* views) {
+SIRPY_INLINE void ChooseWhereNone(const Level& level, const Group& group,
+                                  const KernelOptions& options, int count, const Plane& plane,
+                                  ViewWeights* views) {
   const Ints none = views->used == 0u;
   if (!Any(none)) return;
   Floats costs[kMaxSources];
-  SourceCosts(level, group, group.allowed, plane, costs);
-  Replace(none, BestViews(UnionOf(group.allowed), count, costs), views);
+  SourceCosts(level, group, plane, costs);
+  const int most = count < options.top_views ? count : options.top_views;
+  Replace(none, BestViews(UnionOf(group.allowed), most, costs), views);
 }
 
 // Random numbers of the group's pixels for one draw.
@@ -186,7 +188,7 @@ void EvaluateRow(const Level& level, const KernelOptions& options, const Planes*
           sources[lane] = candidates[i].views[column];
         }
         ViewWeights views = EqualWeights(sources & group.allowed);
-        ChooseWhereNone(level, group, 3, plane, &views);
+        ChooseWhereNone(level, group, options, 3, plane, &views);
         const Cost cost = PlaneCost(level, options, group, prior, views, plane, best_cost.value);
         const Ints better = (cost.value < kRejected) & (cost.value < best_cost.value);
         Keep(better, plane, cost, &best, &best_cost);
@@ -241,28 +243,18 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
       offers.valid[i] &= IsPossible(level, group, offers.plane[i]);
     }
     Plane best = LoadPlanes(level, *planes, group);
-    const Words used = StoredViews(level, *planes, group);
-    const Words candidates =
-        level.all_sources ? group.allowed : group.allowed & (used | offers.views);
     Floats costs[8][kMaxSources];
-    ViewWeights views;
-    if (level.select_views) {
-      for (int i = 0; i < offers.count; ++i) {
-        SourceCosts(level, group, candidates, offers.plane[i], costs[i]);
-      }
-      views = SelectViews(level, options, *planes, group, candidates, costs, offers.valid,
-                          offers.count, iteration);
-    } else {
-      views = EqualWeights(used);
+    for (int i = 0; i < offers.count; ++i) {
+      SourceCosts(level, group, offers.plane[i], costs[i]);
     }
-    ChooseWhereNone(level, group, 2, best, &views);
-    // What a lane falls back on may not be among the costs that were computed.
-    const bool all_known = level.select_views && !Any((views.used & ~candidates) != 0u);
+    ViewWeights views =
+        SelectViews(level, options, *planes, group, costs, offers.valid, offers.count, iteration);
+    ChooseWhereNone(level, group, options, 2, best, &views);
     Cost best_cost = PlaneCost(level, options, group, prior, views, best, Splat(kUnbounded));
     for (int i = 0; i < offers.count; ++i) {
       const Plane& plane = offers.plane[i];
-      const Cost cost = PlaneCost(level, options, group, prior, views, plane, best_cost.value,
-                                  all_known ? costs[i] : nullptr);
+      const Cost cost =
+          PlaneCost(level, options, group, prior, views, plane, best_cost.value, costs[i]);
       Keep(offers.valid[i] & (cost.value < best_cost.value), plane, cost, &best, &best_cost);
     }
     Refine(level, options, *planes, group, prior, views, iteration, &best, &best_cost);

@@ -55,8 +55,6 @@ struct Level {
   int offers = 8;                // planes of neighbours that are tried, of 8
   float largest_step = 2;        // pixels of motion in the sources, of the first sweep
   bool everywhere = false;       // nothing is known yet: all sources, and depths at random
-  bool all_sources = false;      // choose among all that are allowed, not those used around
-  bool select_views = true;      // otherwise every pixel keeps its sources
 
   const Block& BlockAt(int x, int y) const {  // of a pixel of the window
     return blocks[int64_t((y0 + y) / block_side) * block_columns + (x0 + x) / block_side];
@@ -94,7 +92,8 @@ struct KernelOptions {
 // coordinates.
 struct Kernels {
   const char* name;
-  // `candidates`: `count` rows of planes; one without views is matched against all sources.
+  // `candidates`: `count` rows of planes; one without views is judged by those that
+  // it looks best in.
   void (*evaluate_row)(const Level&, const KernelOptions&, const Planes* candidates, int count,
                        Planes* planes, int y);
   void (*sweep_row)(const Level&, const KernelOptions&, Planes* planes, int y, int colour,

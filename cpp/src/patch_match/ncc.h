@@ -1,8 +1,9 @@
 // The cost of one plane in one source: 1 - bilaterally weighted NCC over a 9x9 patch of 25 samples
 // (Schoenberger et al., ECCV 2016, section 4.2), the homography linearised at the patch's centre
-// (error below 0.1 px at 60 degrees of slant and rotation). A patch that leaves the source, is seen
-// from behind, changes its area more than 4 times or reaches farther than kMaxReach in the source
-// costs kWorstCost.
+// (error at its corners, at 60 degrees of slant and rotation: 0.1 px for focal lengths of 1000
+// pixels of the level, 0.3 px for 400). A patch that leaves the source, is seen from behind,
+// changes its area more than 4 times or reaches farther than kMaxReach in the source costs
+// kWorstCost.
 //
 // The samples of the source are whole numbers: positions are rounded to 1/256 pixel and bilinear
 // weights to 1/255, which the 8-bit pixels do not notice (0.001 of a cost). A source's window must

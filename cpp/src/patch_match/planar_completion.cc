@@ -274,6 +274,7 @@ class Completer {
     if (!(least < INFINITY)) return support;
     for (int i = 0; i < kFits; ++i) {
       support = LeastSquares(samples, best, tolerance);
+      if (!(support.error < INFINITY)) break;
       best = {float(support.plane(0)), float(support.plane(1)), float(support.plane(2))};
     }
     return support;

@@ -28,13 +28,15 @@ struct PlanarCompletionOptions {
   // Grey levels squared: patches with more contrast do not support a plane. Where the surface has
   // none, they hold its border, and that may be at the depth of another (a parapet, say).
   double weak_texture = 16;
-  int min_consistent = 2;   // sources that agree with the depth of a reliable pixel
-  double tolerance = 0.6;   // pixels of motion in the sources: on the plane
-  double min_share = 0.6;   // of the reliable pixels must lie on the plane
-  int min_samples = 12;     // of them
-  double max_error = 0.25;  // pixels of motion: standard error of the plane at the pixel
-  int rounds = 2;           // the planes of one support those of the next
-  int threads = 0;          // 0: one for each core
+  int min_consistent = 2;  // sources that agree with the depth of a reliable pixel
+  double tolerance = 0.6;  // pixels of motion in the sources: on the plane
+  double min_share = 0.6;  // of the reliable pixels must lie on the plane
+  int min_samples = 12;    // of them
+  // Pixels of motion: standard error of the plane at the pixel, by the scatter of the samples on
+  // it. The error of planes that come in as samples of a later round is not in it.
+  double max_error = 0.25;
+  int rounds = 2;   // the planes of one support those of the next
+  int threads = 0;  // 0: one for each core
 
   // Throws std::invalid_argument that names field, value and bound.
   void Validate() const;

@@ -1,7 +1,8 @@
 // Where planes come from: adaptive checkerboard sampling (Xu and Tao, ACMH, CVPR 2019, section
 // 3.1). In each of eight regions (a V of 7 pixels next to the pixel and a strip of 11 farther out,
 // in four directions) the pixel of the lowest cost offers its plane. All of them have the other
-// colour, so a half sweep reads only what it does not write.
+// colour, so a half sweep uses only what it does not write (lanes between them are loaded and
+// thrown away).
 #pragma once
 
 #include "patch_match/patch.h"
@@ -10,9 +11,9 @@ namespace sirpy::patch_match::SIRPY_ISA {
 
 // (along, across) steps of the two kinds of region; "along" points away from the pixel.
 constexpr int kNear[7][2] = {{1, 0}, {2, -1}, {2, 1}, {3, -2}, {3, 2}, {4, -3}, {4, 3}};
-static_assert(kSweepReach == 23);
 constexpr int kFar[11][2] = {{3, 0},  {5, 0},  {7, 0},  {9, 0},  {11, 0}, {13, 0},
                              {15, 0}, {17, 0}, {19, 0}, {21, 0}, {23, 0}};
+static_assert(kFar[10][0] == kSweepReach);
 
 SIRPY_INLINE Plane LoadPlanes(const Level& level, const Planes& planes, const Group& group) {
   Plane plane;
@@ -31,7 +32,6 @@ struct Offers {
   int count;
   Plane plane[8];
   Ints valid[8];
-  Words views;  // that the pixels they come from are matched against
 };
 
 SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, const Group& group,
@@ -95,7 +95,6 @@ SIRPY_FUNCTION Offers CollectOffers(const Level& level, const Planes& planes, co
     plane.gy = Gather(planes.gy, at);
     plane.rho = Gather(planes.rho, at) - plane.gx * ToFloats(dx) - plane.gy * ToFloats(dy);
     offers.valid[i] = cost[i] < kNone;
-    offers.views |= (Words)offers.valid[i] & (Words)Gather(planes.views, at);
   }
   return offers;
 }

@@ -1,5 +1,5 @@
-// Random numbers that depend on what they are for, never on order: hash(seed, native pixel, level,
-// draw).
+// Random numbers that depend on what they are for, never on order: hash(seed, native pixel,
+// iteration and draw); the level and the pass are in the seed.
 #pragma once
 
 #include <cstdint>

@@ -81,19 +81,20 @@ SIRPY_INLINE ViewWeights BestViews(uint32_t sources, int count, const Floats cos
 
 // Takes the views `by` in the lanes of the mask.
 SIRPY_INLINE void Replace(Ints lanes, const ViewWeights& by, ViewWeights* views) {
-  for (Sources j{views->any | by.any}; j.more(); j.next()) {
-    const Floats new_weight = (by.any >> *j & 1) ? by.weight[*j] : Floats{};
+  const uint32_t taken = UnionOf(by.used & (Words)lanes);
+  for (Sources j{views->any | taken}; j.more(); j.next()) {
+    const Floats new_weight = (taken >> *j & 1) ? by.weight[*j] : Floats{};
     const Floats old_weight = (views->any >> *j & 1) ? views->weight[*j] : Floats{};
     views->weight[*j] = Select(lanes, new_weight, old_weight);
   }
-  views->any |= by.any;
+  views->any |= taken;
   views->used = (by.used & (Words)lanes) | (views->used & ~(Words)lanes);
 }
 
-// costs[i][j]: of the plane of neighbour i in source j of `candidates`; valid[i]: the neighbour
-// exists.
+// costs[i][j]: of the plane of neighbour i in source j, of those that are allowed; valid[i]: the
+// neighbour exists.
 SIRPY_INLINE ViewWeights SelectViews(const Level& level, const KernelOptions& options,
-                                     const Planes& planes, const Group& group, Words candidates,
+                                     const Planes& planes, const Group& group,
                                      const Floats costs[8][kMaxSources], const Ints valid[8],
                                      int num_neighbours, int iteration) {
   const float good = 0.8f * __builtin_expf(-float(iteration * iteration) / 90.f);
@@ -109,7 +110,7 @@ SIRPY_INLINE ViewWeights SelectViews(const Level& level, const KernelOptions& op
   };
   const Words neighbours[4] = {views_at(-1, 0), views_at(1, 0), views_at(0, -1), views_at(0, 1)};
   ViewWeights views;
-  views.any = UnionOf(candidates);
+  views.any = UnionOf(group.allowed);
   for (Sources j{views.any}; j.more(); j.next()) {
     Floats num_good{}, num_bad{}, sum{};
     for (int i = 0; i < num_neighbours; ++i) {
@@ -124,7 +125,7 @@ SIRPY_INLINE ViewWeights SelectViews(const Level& level, const KernelOptions& op
     for (const Words& neighbour : neighbours) {
       prior += Select(Has(neighbour, *j), Splat(0.9f), Splat(0.1f));
     }
-    views.weight[*j] = Select(Has(candidates, *j) & (num_bad < 3.f), score * prior, Floats{});
+    views.weight[*j] = Select(Has(group.allowed, *j) & (num_bad < 3.f), score * prior, Floats{});
   }
   KeepLargest(options.top_views, &views);
   return views;
