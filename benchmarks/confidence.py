@@ -3,8 +3,8 @@
     python benchmarks/confidence.py WORKSPACE TRUTH [WORKSPACE TRUTH ...] [--sub-images 8]
 
 Each WORKSPACE has been through `sirpy stereo`; TRUTH is the truth.npz of a rendered scene, or a folder of exact
-depth maps named as those of the workspace. The last pass of some sub-images is estimated again, in a copy, to
-see what it says before the filter. The first scene is fitted, the others check: a depth is right within two
+depth maps named as those of the workspace. Stereo is run again, in a copy, to see what it says of some
+sub-images before the filter. The first scene is fitted, the others check: a depth is right within two
 pixels' worth, 2 depth / focal length. One JSON object for each scene; the first holds the coefficients, which
 belong into python/sirpy/filtering.py.
 """
@@ -73,15 +73,13 @@ def main() -> None:
 
 
 def collect(folder: Path, truth: Path, most: int) -> Pixels:
-    parts = []
     # Links beside the original: what is made anew takes the place of a link, not of the file.
     with tempfile.TemporaryDirectory(dir=folder.parent) as copy:
         shutil.copytree(folder, copy, copy_function=os.link, dirs_exist_ok=True)
         workspace = Workspace(copy)
         everything = list(workspace.sub_images())
         chosen = np.unique(np.linspace(0, len(everything) - 1, most).round().astype(int))
-        for native, sub in (everything[i] for i in chosen):
-            parts += estimated(workspace, native, sub, true_depth(workspace, native, sub, truth))
+        parts = estimated(workspace, [everything[i] for i in chosen], truth)
     return Pixels(*(np.concatenate(maps, axis=-1) for maps in zip(*parts, strict=True)))
 
 
@@ -98,25 +96,29 @@ def true_depth(
 
 
 def estimated(
-    workspace: Workspace, native: NativeImage, sub: SubImage, truth: NDArray[np.float32]
+    workspace: Workspace, chosen: list[tuple[NativeImage, SubImage]], truth: Path
 ) -> list[tuple[Any, ...]]:
-    """Estimates the last pass of a sub-image again: its pixels of known depth."""
+    """Estimates the sub-images again, all passes: their pixels of known depth."""
     parts = []
     filter_depths = dense_stereo.filter_depths
+    left = iter(chosen)  # stereo works in the order of the workspace
 
     def recorded(
         estimate: Estimate, intrinsics: Any, window: Rectangle, masked: Any, *more: Any
     ) -> Any:
         found = filter_depths(estimate, intrinsics, window, masked, *more)
+        native, sub = next(left)
+        depth = true_depth(workspace, native, sub, truth)
         stored = sub.stored.slices_in(window)
-        known = (truth > 0) & ~masked[stored]
+        known = (depth > 0) & ~masked[stored]
         evidences = evidence(estimate, coplanar_shares(estimate, intrinsics, window))
-        error = np.abs(estimate.depth[stored] - truth) * intrinsics[0, 0]
-        right = (error <= RIGHT * truth) & (estimate.depth[stored] > 0)
+        error = np.abs(estimate.depth[stored] - depth) * intrinsics[0, 0]
+        right = (error <= RIGHT * depth) & (estimate.depth[stored] > 0)
         parts.append((evidences[:, *stored][:, known], found[0][stored][known], right[known]))
         return found
 
-    workspace.depth_map(sub, "geometric").unlink()
+    for _, sub in chosen:
+        workspace.depth_map(sub, "geometric").unlink()
     with mock.patch.object(dense_stereo, "filter_depths", recorded):
         dense_stereo.stereo(workspace)
     return parts

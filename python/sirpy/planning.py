@@ -56,7 +56,7 @@ _ENGINE_BYTES_PER_PIXEL = 200
 
 # CPU microseconds: per native pixel, of stereo also per source; views per photograph and per sub-image.
 _CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.025, 0.7, 0.05
-_STEREO_TIME, _STEREO_TIME_OF_A_SOURCE = 2.5, 3.0
+_STEREO_TIME, _STEREO_TIME_OF_A_SOURCE = 3.5, 1.3
 _VIEWS_TIME = 60_000.0, 1_500.0
 # Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps (depth 4, normal 12, reason 4,
 # confidence 4) and those of the passes, while stereo runs (20 a pass, 27 in all); points per pixel, 27 bytes each in
