@@ -161,6 +161,7 @@ class _Estimator:
             covered=self._covered,
         )
         depths = before if of_pass.kind == "geometric" else None
+        start = before.start(native.name, window, level) if before else None
         found = _core.patch_match(
             reference=self._view(native, window, level),
             sources=[
@@ -171,8 +172,8 @@ class _Estimator:
             allowed=field.allowed,
             min_depth=field.min_depth,
             max_depth=field.max_depth,
-            points=self._sparse_points(native) if before is None else np.empty((0, 3)),
-            start=before.start(native.name, window, level) if before else None,
+            points=self._sparse_points(native) if start is None else np.empty((0, 3)),
+            start=start,
             options=self._core_options(of_pass, native),
         )
         return window, found

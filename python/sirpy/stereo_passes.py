@@ -89,14 +89,12 @@ def native_pixels(rectangle: Rectangle, level: int, image: Rectangle) -> Rectang
 
 def units(natives: tuple[NativeImage, ...], level: int, coarsest: int) -> Iterator[Unit]:
     """Whole photographs (what is cut of them) at the coarsest level, otherwise the cores of the
-    sub-images."""
+    sub-images; those without a pixel of the level are none."""
     for native in natives:
-        if level == coarsest:
-            yield Unit(native, None, at_level(native.covered, level))
-            continue
-        for sub in native.sub_images:
-            kept = at_level(sub.core, level)
-            if kept.area:  # a core narrower than a pixel of the level may own none
+        whole = level == coarsest
+        for sub in (None,) if whole else native.sub_images:
+            kept = at_level(sub.core if sub else native.covered, level)
+            if kept.area:  # what is narrower than a pixel of the level may own none
                 yield Unit(native, sub, kept)
 
 
@@ -143,9 +141,9 @@ class PassMaps:
     def __init__(self, workspace: Workspace, of_pass: StereoPass, coarsest: int) -> None:
         self.level = of_pass.level
         self._workspace, self._pass = workspace, of_pass
-        self._units: dict[str, list[Unit]] = {}
+        self._units: dict[str, list[Unit]] = {one.name: [] for one in workspace.natives}
         for unit in units(workspace.natives, of_pass.level, coarsest):
-            self._units.setdefault(unit.native.name, []).append(unit)
+            self._units[unit.native.name].append(unit)
         self._extent = {one.name: at_level(one.covered, self.level) for one in workspace.natives}
 
     def read(
@@ -186,10 +184,15 @@ class PassMaps:
         columns = np.minimum((np.arange(rectangle.width) << levels) + half, fine.width - 1)
         return np.ascontiguousarray(depth[np.ix_(rows, columns)])
 
-    def start(self, native: str, rectangle: Rectangle, level: int) -> _core.StartMaps:
-        """What a pass over a rectangle of a level starts from; the maps are of that level or one coarser."""
+    def start(self, native: str, rectangle: Rectangle, level: int) -> _core.StartMaps | None:
+        """What a pass over a rectangle of a level starts from; the maps are of that level or one coarser.
+
+        None where the pass before had no pixel of the native image.
+        """
+        image = self._extent[native]
+        if not image.area:
+            return None
         if self.level > level:  # the four nearest of each pixel
-            image = self._extent[native]
             x0, y0 = rectangle.x0 // 2, rectangle.y0 // 2
             x1, y1 = (rectangle.x1 + 1) // 2, (rectangle.y1 + 1) // 2
             rectangle = Rectangle.from_corners(x0, y0, x1, y1).padded(1).intersection(image)

@@ -134,6 +134,25 @@ def test_of_a_region_of_interest_a_grid_changes_nothing(field: Path, tmp_path: P
     assert sum((planes[0] > 0).sum() for planes in expected.values()) > 5000
 
 
+def test_what_is_narrower_than_a_coarse_pixel_starts_at_a_finer_level(
+    field: Path, tmp_path: Path
+) -> None:
+    # No pixel of level 2 begins in it, and one column of level 1.
+    narrow = "strip1_002.jpg"
+    region = Region(rois={narrow: Rectangle(201, 20, 3, 150)})
+    expected, found = (
+        _maps(_stereo(field, tmp_path / str(grid), grid, FULL, region=region))
+        for grid in (Grid(1, 1), Grid(1, 3))
+    )
+    assert (expected[narrow][0] >= 0).sum() == 3 * 150
+    assert (expected[narrow][0] > 0).sum() > 100
+    for name, planes in expected.items():
+        np.testing.assert_array_equal(found[name], planes, name)
+    # Of every photograph a single native pixel: there is nothing to match.
+    speck = _stereo(field, tmp_path / "1", Grid(1, 1), FULL, region=Region(Rectangle(5, 5, 1, 1)))
+    assert all((planes[0] <= 0).all() for planes in _maps(speck).values())
+
+
 def test_a_source_that_samples_more_finely_is_matched_at_a_coarser_level(tmp_path: Path) -> None:
     scene = wide_and_tele(tmp_path / "scene")
     workspace = _stereo(scene, tmp_path / "out", Grid(2, 1), FULL)
