@@ -99,7 +99,7 @@ def stereo(
     views = read_views(workspace)
     what = {key: value for key, value in asdict(options).items() if key != "threads"}
     workspace.begin_stage("stereo", fingerprint(workspace.fingerprint_of("views"), what))
-    if any(not workspace.depth_map(sub, "geometric").exists() for _, sub in workspace.sub_images()):
+    if not all(_are_there(workspace.stereo_maps(sub)) for _, sub in workspace.sub_images()):
         estimator = _Estimator(workspace, views, options)
         before = None
         for of_pass in passes(views.coarsest, options):
@@ -122,7 +122,7 @@ class _Estimator:
         coarsest = self._views.coarsest
         maps = PassMaps(self._workspace, before, coarsest) if before else None
         everything = list(units(self._workspace.natives, of_pass.level, coarsest))
-        todo = [unit for unit in everything if not self._output(unit, of_pass).exists()]
+        todo = [unit for unit in everything if not _are_there(self._outputs(unit, of_pass))]
         if len(todo) < len(everything):
             done = len(everything) - len(todo)
             progress.note(f"{of_pass.title}: {done} of {len(everything)} are done already")
@@ -135,11 +135,11 @@ class _Estimator:
                     self._prepare(unit, of_pass, maps)
                 step.advance()
 
-    def _output(self, unit: Unit, of_pass: StereoPass) -> Path:
-        """What is written last of a unit."""
+    def _outputs(self, unit: Unit, of_pass: StereoPass) -> tuple[Path, ...]:
+        """The files of a unit: it is done when they are there."""
         if of_pass.is_last and unit.sub_image is not None:
-            return self._workspace.depth_map(unit.sub_image, "geometric")
-        return self._workspace.pass_map(unit.name, of_pass.name)
+            return self._workspace.stereo_maps(unit.sub_image)
+        return (self._workspace.pass_map(unit.name, of_pass.name),)
 
     def _estimate(
         self, unit: Unit, kept: Rectangle, of_pass: StereoPass, before: PassMaps | None
@@ -183,7 +183,8 @@ class _Estimator:
         window, found = self._estimate(unit, unit.kept, of_pass, before)
         if of_pass.complete:
             self._complete(unit.native, window, of_pass.level, found)
-        write_planes(self._output(unit, of_pass), found, unit.kept.slices_in(window))
+        (path,) = self._outputs(unit, of_pass)
+        write_planes(path, found, unit.kept.slices_in(window))
 
     def _complete(
         self,
@@ -239,7 +240,7 @@ class _Estimator:
         normal = np.where(missing, np.float32(0), found["normal"][(slice(None), *kept)])
         write_map(workspace.normal_map(sub_image, "geometric"), normal)
         depth = np.where(missing, np.float32(0), found["depth"][kept])
-        write_map(workspace.depth_map(sub_image, "geometric"), depth)  # the last: it is done
+        write_map(workspace.depth_map(sub_image, "geometric"), depth)
 
     def _view(
         self,
@@ -310,6 +311,10 @@ def count_reasons(workspace: Workspace) -> dict[str, dict[str, int]]:
             count[_name(one)] += int(hit.sum())
             left = left[~hit]
     return counts
+
+
+def _are_there(paths: tuple[Path, ...]) -> bool:
+    return all(path.exists() for path in paths)
 
 
 def _name(reason: Reason) -> str:

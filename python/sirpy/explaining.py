@@ -81,13 +81,7 @@ def _frame(workspace: Workspace, name: str) -> Frame:
 
 def _check_estimated(workspace: Workspace, name: str, frame: Frame) -> None:
     for sub_image, _ in frame.parts:
-        maps = (
-            workspace.depth_map(sub_image, "geometric"),
-            workspace.normal_map(sub_image, "geometric"),
-            workspace.confidence_map(sub_image),
-            workspace.reason_map(sub_image),
-        )
-        missing = [path for path in maps if not path.exists()]
+        missing = [path for path in workspace.stereo_maps(sub_image) if not path.exists()]
         if missing:
             raise InputError(
                 f"{name} is not estimated yet (there is no {missing[0]}): run `sirpy stereo "

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
-from sirpy.errors import InputError
 from sirpy.files import written_whole
 from sirpy.native_images import NativeImage, SubImage
+from sirpy.npy import open_npy
 from sirpy.rectangle import Rectangle
 from sirpy.windows import read_window
 from sirpy.workspace import Pass, Workspace
@@ -207,10 +207,5 @@ class PassMaps:
 
     def _open(self, unit: Unit) -> npt.NDArray[np.float32]:
         path = self._workspace.pass_map(unit.name, self._pass.name)
-        try:
-            planes: npt.NDArray[np.float32] = np.load(path, mmap_mode="r")
-        except (OSError, ValueError) as error:
-            raise InputError(f"cannot read {path} ({error}): run the stereo again") from None
-        if planes.shape != (5, unit.kept.height, unit.kept.width) or planes.dtype != np.float32:
-            raise InputError(f"{path} is damaged: delete it and run the stereo again")
-        return planes
+        shape = 5, unit.kept.height, unit.kept.width
+        return open_npy(path, np.float32, shape, "the stereo")

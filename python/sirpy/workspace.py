@@ -230,6 +230,15 @@ class Workspace:
     def reason_map(self, sub_image: SubImage) -> Path:
         return self.stereo / "reason_maps" / f"{sub_image.name}.bin"
 
+    def stereo_maps(self, sub_image: SubImage) -> tuple[Path, ...]:
+        """All that stereo makes of a sub-image."""
+        return (
+            self.reason_map(sub_image),
+            self.confidence_map(sub_image),
+            self.normal_map(sub_image, "geometric"),
+            self.depth_map(sub_image, "geometric"),
+        )
+
     @property
     def passes(self) -> Path:
         """What stereo starts its next pass from; removed when it is done."""

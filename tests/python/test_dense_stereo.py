@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -151,6 +152,19 @@ def test_what_is_narrower_than_a_coarse_pixel_starts_at_a_finer_level(
     # Of every photograph a single native pixel: there is nothing to match.
     speck = _stereo(field, tmp_path / "1", Grid(1, 1), FULL, region=Region(Rectangle(5, 5, 1, 1)))
     assert all((planes[0] <= 0).all() for planes in _maps(speck).values())
+
+
+def test_maps_that_are_deleted_are_made_again(whole: Workspace, tmp_path: Path) -> None:
+    workspace = Workspace(shutil.copytree(whole.folder, tmp_path / "out"))
+    maps = [workspace.stereo_maps(sub) for _, sub in workspace.sub_images()]
+    untouched = {path: path.stat().st_mtime_ns for path in maps[-1]}
+    for index in range(4):  # another kind of each of the first photographs
+        maps[index][index].unlink()
+    stereo(workspace, options=QUICK)
+    for path in (path for paths in maps for path in paths):
+        assert path.read_bytes() == (whole.folder / path.relative_to(workspace.folder)).read_bytes()
+    assert untouched == {path: path.stat().st_mtime_ns for path in maps[-1]}
+    assert not workspace.passes.exists()
 
 
 def test_a_source_that_samples_more_finely_is_matched_at_a_coarser_level(tmp_path: Path) -> None:

@@ -1,0 +1,63 @@
+"""Files of arrays, sound and damaged."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sirpy.errors import InputError
+from sirpy.npy import open_npy
+
+ARRAY = np.arange(12, dtype=np.float32).reshape(3, 4)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    np.save(tmp_path / "a.npy", ARRAY)
+    return tmp_path / "a.npy"
+
+
+def test_what_is_opened_is_what_was_saved(path: Path) -> None:
+    for shape in ((3, 4), (None, 4), (3, None)):
+        np.testing.assert_array_equal(open_npy(path, np.float32, shape, "it"), ARRAY)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data[:-1],
+        lambda data: data[:60],
+        lambda data: b"",
+        lambda data: b"x" * 400,
+        lambda data: data.replace(b"(3, 4)", b"(3, 5)"),
+        lambda data: data.replace(b"(3, 4)", b"(4, 3)"),
+        lambda data: data.replace(b"(3, 4)", b"(12,)"),
+        lambda data: data.replace(b"(3, 4)", b"((((((")[:200],
+        lambda data: data.replace(b"<f4", b"<i4"),
+        lambda data: data.replace(b"<f4", b"|O "),
+        lambda data: b"PK\3\4" + data,
+    ],
+)
+def test_damage_is_said_with_what_mends_it(path: Path, damage: object) -> None:
+    path.write_bytes(damage(path.read_bytes()))  # type: ignore[operator]
+    with pytest.raises(InputError, match=r"a\.npy .*: delete it and run the test again$") as caught:
+        open_npy(path, np.float32, (3, 4), "the test")
+    assert "pickle" not in str(caught.value)
+    path.unlink()
+    with pytest.raises(InputError, match=r"there is no .*a\.npy: run the test again$"):
+        open_npy(path, np.float32, (3, 4), "the test")
+
+
+@given(place=st.integers(0, 127), byte=st.integers(0, 255))
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_other_byte_of_a_header_is_no_traceback(path: Path, place: int, byte: int) -> None:
+    np.save(path, ARRAY)
+    data = bytearray(path.read_bytes())
+    data[place] = byte
+    path.write_bytes(data)
+    with suppress(InputError):
+        assert open_npy(path, np.float32, (3, 4), "it").shape == ARRAY.shape
