@@ -332,7 +332,8 @@ class Workspace:
         Output of other inputs or options is removed, with that of the later stages.
 
         Raises:
-            OutputError: the folder holds something under the name of an output that no stage made.
+            OutputError: the folder holds something under the name of an output that no stage made, or
+                earlier output cannot be removed.
         """
         fingerprint = f"{__version__} {fingerprint}"
         known = self._known_stages()
@@ -427,7 +428,13 @@ def check_writable(folder: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+    """Raises OutputError that names what cannot be removed."""
+    try:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"cannot remove {path}: {error.strerror or error}; mend that, then run the same command again"
+        ) from error

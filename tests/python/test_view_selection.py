@@ -47,6 +47,10 @@ def test_what_is_read_is_what_was_found(workspace: Workspace, found: Views) -> N
             assert one.dtype == other.dtype and np.array_equal(one, other)
 
 
+def _source(stored: Any) -> Any:
+    return stored["sub_images"][0]["sources"][0]
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
@@ -61,6 +65,11 @@ def test_what_is_read_is_what_was_found(workspace: Workspace, found: Views) -> N
         (lambda one: one["images"][0]["sources"][0].update(level=4), "is damaged"),
         (lambda one: one["images"][0]["sources"][0].update(name="x"), "is of other sub-images"),
         (lambda one: one["images"][0].update(side=256), "is of other sub-images"),
+        (lambda one: one["sub_images"][0].update(window=[0, 0, 9999, 5]), "is of other sub-images"),
+        (lambda one: _source(one).update(window=[-5, 0, 20, 5]), "is of other sub-images"),
+        (lambda one: _source(one).update(window=[5, 5, 0, 5]), "is of other sub-images"),
+        (lambda one: _source(one).update(window=[5, 5, -3, -5]), "is of other sub-images"),
+        (lambda one: _source(one).update(window=[5, 5, 3]), "is damaged"),
     ],
 )
 def test_damaged_files_are_refused(
