@@ -17,7 +17,7 @@ from sirpy.errors import InputError
 from sirpy.files import fingerprint, written_whole
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeScene, read_native_scene
-from sirpy.npy import open_npy
+from sirpy.npy import open_npy, write_npy
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import Views, read_views
@@ -85,8 +85,7 @@ def fuse(
             part = workspace.fused_part(sub_image)
             if not part.exists():
                 points = _fuse_core(workspace, natives, scene, views, native, sub_image, options)
-                with written_whole(part) as path:
-                    np.save(path, points)
+                write_npy(part, points)
             step.advance()
     return write_cloud(workspace.fused, [workspace.fused_part(sub_image) for _, sub_image in todo])
 

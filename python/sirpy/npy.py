@@ -1,4 +1,4 @@
-"""Arrays in files of numpy's format .npy: opened on disk, and one sentence where that fails."""
+"""Arrays in files of numpy's format .npy: written whole, opened on disk, and one sentence where that fails."""
 
 from __future__ import annotations
 
@@ -10,6 +10,22 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy.errors import InputError
+from sirpy.files import written_whole
+
+
+def write_npy(path: Path, array: npt.NDArray[Any]) -> None:
+    """Writes an array whole or not at all.
+
+    np.save does not tell a full disk from other troubles.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    array = np.ascontiguousarray(array)
+    header = np.lib.format.header_data_from_array_1_0(array)
+    with written_whole(path) as temporary, temporary.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(array.data)
 
 
 def open_npy(

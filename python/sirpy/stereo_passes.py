@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
-from sirpy.files import written_whole
 from sirpy.native_images import NativeImage, SubImage
-from sirpy.npy import open_npy
+from sirpy.npy import open_npy, write_npy
 from sirpy.rectangle import Rectangle
 from sirpy.windows import read_window
 from sirpy.workspace import Pass, Workspace
@@ -130,9 +129,8 @@ def nothing_found(window: Rectangle) -> dict[str, npt.NDArray[Any]]:
 def write_planes(path: Path, found: dict[str, npt.NDArray[Any]], kept: tuple[slice, slice]) -> None:
     """Writes what the next pass starts from of the rows and columns `kept`, whole or not at all."""
     bits = found["views"].view(np.float32)
-    planes = np.concatenate([found["depth"][None], found["normal"], bits[None]])
-    with written_whole(path) as temporary, temporary.open("wb") as file:
-        np.save(file, planes[(slice(None), *kept)])
+    parts = found["depth"][None], found["normal"], bits[None]
+    write_npy(path, np.concatenate([part[(slice(None), *kept)] for part in parts]))
 
 
 class PassMaps:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from contextlib import suppress
 from pathlib import Path
 
@@ -9,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sirpy.errors import InputError
-from sirpy.npy import open_npy
+from sirpy.errors import InputError, OutputError
+from sirpy.npy import open_npy, write_npy
 
 ARRAY = np.arange(12, dtype=np.float32).reshape(3, 4)
 
@@ -24,6 +25,35 @@ def path(tmp_path: Path) -> Path:
 def test_what_is_opened_is_what_was_saved(path: Path) -> None:
     for shape in ((3, 4), (None, 4), (3, None)):
         np.testing.assert_array_equal(open_npy(path, np.float32, shape, "it"), ARRAY)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        ARRAY,
+        ARRAY[1:, ::2],
+        ARRAY[:0],
+        np.array([(1, 2.5), (3, 4.5)], np.dtype([("a", "u1"), ("b", "<f4")])),
+    ],
+)
+def test_files_are_those_of_numpy(tmp_path: Path, array: np.ndarray) -> None:
+    write_npy(tmp_path / "made" / "a.npy", array)
+    np.save(tmp_path / "a.npy", array)
+    assert (tmp_path / "made" / "a.npy").read_bytes() == (tmp_path / "a.npy").read_bytes()
+    np.testing.assert_array_equal(np.load(tmp_path / "made" / "a.npy"), array)
+    opened = open_npy(tmp_path / "a.npy", array.dtype, (None,) * array.ndim, "it")
+    np.testing.assert_array_equal(opened, array)
+
+
+def test_why_a_file_cannot_be_written_is_said(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+        with pytest.raises(OutputError, match=r"a\.npy: File too large; free some space or choose"):
+            write_npy(tmp_path / "a.npy", np.zeros(200_000, np.uint8))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
