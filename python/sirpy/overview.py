@@ -58,6 +58,13 @@ class Frame:
             if all(one.stop > one.start for one in place):
                 yield sub_image, shown, place
 
+    def held(self) -> NDArray[np.bool_]:
+        """True at the middles that a sub-image holds, (height, width)."""
+        held = np.zeros(self.shape, np.bool_)
+        for _, _, place in self.places():
+            held[place] = True
+        return held
+
     def middles(self, place: tuple[slice, slice]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """y and x of the middles of a place, native pixels."""
         y, x = (np.arange(one.start, one.stop) * self.factor + self.factor // 2 for one in place)
