@@ -312,6 +312,11 @@ class Workspace:
         return {native.name: native for native in self.natives}
 
     @property
+    def white(self) -> int:
+        """The sample value that shows as white in 8 bit: the brightest native image's."""
+        return max(native.white for native in self.natives)
+
+    @property
     def left_out(self) -> tuple[LeftOut, ...]:
         return self._index[1]
 
