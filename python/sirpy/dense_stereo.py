@@ -79,6 +79,23 @@ def passes(coarsest: int, options: StereoOptions) -> list[StereoPass]:
     ]
 
 
+def estimated_window(
+    unit: Unit, of_pass: StereoPass, halo: int, options: FilterOptions
+) -> Rectangle:
+    """What a pass estimates of a unit, pixels of its level: what it keeps, and of the halo as much as can
+    have a say."""
+    kept, reach = _kept(unit, of_pass), of_pass.margin
+    if of_pass.is_last:  # what is filtered must know the islands that reach into what is kept
+        reach += options.margin
+    covered = at_level(unit.native.covered, of_pass.level)
+    return kept.padded(min(halo, reach)).intersection(covered)
+
+
+def _kept(unit: Unit, of_pass: StereoPass) -> Rectangle:
+    """The maps that are left at the end hold all that a sub-image stores."""
+    return unit.sub_image.stored if of_pass.is_last and unit.sub_image else unit.kept
+
+
 def stereo(
     workspace: Workspace,
     *,
@@ -142,14 +159,11 @@ class _Estimator:
         return (self._workspace.pass_map(unit.name, of_pass.name),)
 
     def _estimate(
-        self, unit: Unit, kept: Rectangle, of_pass: StereoPass, before: PassMaps | None
+        self, unit: Unit, of_pass: StereoPass, before: PassMaps | None
     ) -> tuple[Rectangle, dict[str, npt.NDArray[Any]]]:
-        """The window, `kept` with its halo, and what the pass finds in it."""
+        """The window of a unit, and what the pass finds in it."""
         native, level = unit.native, of_pass.level
-        # What is filtered must know the islands that reach into what is kept.
-        reach = of_pass.margin + (self._options.margin if of_pass.is_last else 0)
-        halo = min(self._views.halo, reach)
-        window = kept.padded(halo).intersection(at_level(native.covered, level))
+        window = estimated_window(unit, of_pass, self._views.halo, self._options)
         field = self._views.fields[native.name]
         if not field.sources:
             return window, nothing_found(window)
@@ -180,11 +194,11 @@ class _Estimator:
 
     def _prepare(self, unit: Unit, of_pass: StereoPass, before: PassMaps | None) -> None:
         """A pass that another starts from. Nothing of it is held when the next unit begins."""
-        window, found = self._estimate(unit, unit.kept, of_pass, before)
+        window, found = self._estimate(unit, of_pass, before)
         if of_pass.complete:
             self._complete(unit.native, window, of_pass.level, found)
         (path,) = self._outputs(unit, of_pass)
-        write_planes(path, found, unit.kept.slices_in(window))
+        write_planes(path, found, _kept(unit, of_pass).slices_in(window))
 
     def _complete(
         self,
@@ -221,7 +235,7 @@ class _Estimator:
     ) -> None:
         """The last pass: its maps are filtered and stand in COLMAP's folders; missing pixels are 0."""
         workspace = self._workspace
-        window, found = self._estimate(unit, sub_image.stored, of_pass, before)
+        window, found = self._estimate(unit, of_pass, before)
         camera = self._scene.cameras[unit.native.name]
         offered = self._views.fields[unit.native.name].num_sources(window)
         reason, confidence = filter_depths(
@@ -233,7 +247,7 @@ class _Estimator:
             self._options,
         )
         reason = np.where(offered == 0, np.uint8(Reason.NO_SOURCES), reason)
-        kept = sub_image.stored.slices_in(window)
+        kept = _kept(unit, of_pass).slices_in(window)
         missing = reason[kept] != 0
         write_map(workspace.reason_map(sub_image), reason[kept].astype(np.float32))
         write_map(workspace.confidence_map(sub_image), confidence[kept])
