@@ -62,6 +62,7 @@ def _stereo(
     halo: int,
     threads: int = 2,
     region: Region = Region(),
+    options: StereoOptions = QUICK,
 ) -> Workspace:
     workspace = cut(
         scene / "images",
@@ -74,7 +75,7 @@ def _stereo(
         ),  # JPEG compresses the pixels of other sub-images otherwise
     )
     views(workspace, num_sources=2, halo=halo)
-    stereo(workspace, options=replace(QUICK, threads=threads))
+    stereo(workspace, options=replace(options, threads=threads))
     return workspace
 
 
@@ -120,6 +121,23 @@ def test_with_the_full_halo_a_grid_changes_nothing(
         assert (planes[0] > 0).mean() > 0.3
         np.testing.assert_array_equal(found[name], planes, name)
     assert (_sorted_points(cut_up) == _sorted_points(whole)).all()
+
+
+def test_with_the_default_passes_a_grid_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dense_stereo, "passes", passes)
+    options, halo = StereoOptions(), 160
+    of_sub_images = [one for one in passes(2, options) if one.level < 2]
+    assert max(one.margin + options.margin * one.is_last for one in of_sub_images) <= halo
+    scene = render_scene(tmp_path / "scene", image_count=3, size=(480, 110), seed=5)
+    expected, found = (
+        _maps(_stereo(scene, tmp_path / str(grid), grid, halo, options=options))
+        for grid in (Grid(1, 1), Grid(3, 2))
+    )
+    for name, planes in expected.items():
+        np.testing.assert_array_equal(found[name], planes, name)
+    assert sum((planes[0] > 0).sum() for planes in expected.values()) > 20_000
 
 
 def test_of_a_region_of_interest_a_grid_changes_nothing(field: Path, tmp_path: Path) -> None:
