@@ -197,15 +197,15 @@ def _parsed_views(stored: Any) -> Views:
         for one in stored["sub_images"]
     ]
     rank = {str(name): int(value) for name, value in stored["rank"].items()}
-    coarsest = int(stored["coarsest"])
-    if coarsest < LEAST_COARSEST:
-        raise ValueError(f"coarsest = {coarsest}")
+    coarsest, halo = int(stored["coarsest"]), int(stored["halo"])
+    if coarsest < LEAST_COARSEST or halo < 0:
+        raise ValueError(f"coarsest = {coarsest}, halo = {halo}")
     return Views(
         {one.name: one for one in fields},
         {one.name: one for one in found},
         rank,
         coarsest,
-        int(stored["halo"]),
+        halo,
     )
 
 

@@ -82,6 +82,7 @@ def test_damage_is_said_with_what_mends_it(path: Path, damage: object) -> None:
         open_npy(path, np.float32, (3, 4), "the test")
 
 
+@pytest.mark.filterwarnings("ignore:invalid escape sequence")
 @given(place=st.integers(0, 127), byte=st.integers(0, 255))
 @settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_other_byte_of_a_header_is_no_traceback(path: Path, place: int, byte: int) -> None:

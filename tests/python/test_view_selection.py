@@ -56,6 +56,7 @@ def _source(stored: Any) -> Any:
     [
         (lambda one: one.update(version=1), "was made by another version"),
         (lambda one: one.update(coarsest=1), "is damaged"),
+        (lambda one: one.update(halo=-1), "is damaged"),
         (lambda one: one["images"].pop(), "is of other sub-images"),
         (lambda one: one["images"][0]["allowed"].pop(), "is damaged"),
         (lambda one: one["images"][0]["allowed"][0].__setitem__(0, 1 << 20), "is damaged"),
