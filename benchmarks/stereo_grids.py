@@ -13,10 +13,12 @@ import numpy as np
 from metered import Cost, run_sirpy
 from numpy.typing import NDArray
 from reconstruction import check_new, grid_words
+from sirpy.dense_stereo import StereoOptions, estimated_window, passes
 from sirpy.fusion import POINT
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import read_native_scene
+from sirpy.stereo_passes import units
 from sirpy.view_selection import read_views
 from sirpy.windows import read_map_window
 from sirpy.workspace import Workspace
@@ -62,7 +64,9 @@ def compare_halos(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for halo in [arguments.full, *(one for one in arguments.halos if one != arguments.full)]:
         folder = arguments.output / f"halo_{halo}"
         run = _run_stages(scene, folder, arguments.grid, halo, 0)
-        row = {"halo": halo, **_overhead(run.workspace), **_stereo_cost(run)}
+        views = read_views(run.workspace)
+        added = overhead(run.workspace.natives, views.coarsest, views.halo)
+        row = {"halo": halo, **added, **_stereo_cost(run)}
         if full is None:
             full = run.workspace
         else:
@@ -150,10 +154,20 @@ def _points(workspace: Workspace) -> NDArray[Any]:
     return np.ascontiguousarray(points).view(f"S{POINT.itemsize}")
 
 
-def _overhead(workspace: Workspace) -> dict[str, float]:
-    views = read_views(workspace).sub_images
-    cores = sum(sub.core.area for _, sub in workspace.sub_images())
-    return {"estimated_to_core": sum(one.window.area for one in views.values()) / cores}
+def overhead(natives: tuple[NativeImage, ...], coarsest: int, halo: int) -> dict[str, float]:
+    """What a halo adds: pixels that the native photometric pass estimates, to those of the cores; and pixels
+    by sweeps of all passes, to the same without a halo."""
+    options = StereoOptions()
+    sweeps, bare, estimated = 0, 0, 0
+    for of_pass in passes(coarsest, options):
+        for unit in units(natives, of_pass.level, coarsest):
+            window, kept = (estimated_window(unit, of_pass, one, options).area for one in (halo, 0))
+            sweeps += window * of_pass.iterations
+            bare += kept * of_pass.iterations
+            if (of_pass.level, of_pass.kind) == (0, "photometric"):
+                estimated += window
+    cores = sum(sub.core.area for native in natives for sub in native.sub_images)
+    return {"estimated_to_core": estimated / cores, "sweeps_to_no_halo": sweeps / bare}
 
 
 def _difference(full: Workspace, workspace: Workspace, gsd: float | None) -> dict[str, float]:

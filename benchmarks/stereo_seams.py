@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import read_native_scene
+from sirpy.rectangle import Rectangle
 from sirpy.workspace import Workspace
 from stereo_maps import error_in_gsd, estimated_depth, quality, true_depth
 
@@ -45,24 +46,32 @@ def compare_band(
 
 
 def band_mask(native: NativeImage, width: int) -> NDArray[np.bool_]:
-    """True at pixels less than `width` from a border of their core that is not the image's; (height, width)."""
+    """True at pixels less than `width` from a border between their core and another; (height, width)."""
+
+    def is_cut(x: int, y: int) -> bool:
+        return any(sub.core.contains(Rectangle(x, y, 1, 1)) for sub in native.sub_images)
+
     mask = np.zeros((native.height, native.width), np.bool_)
-    for sub in native.sub_images:
-        core = mask[sub.core.slices_in(native.rectangle)]
-        if sub.core.x0 > 0:
+    for sub in native.sub_images:  # of a grid: beside a core lies one other, or none
+        at = sub.core
+        core = mask[at.slices_in(native.rectangle)]
+        if is_cut(at.x0 - 1, at.y0):
             core[:, :width] = True
-        if sub.core.x1 < native.width:
+        if is_cut(at.x1, at.y0):
             core[:, -width:] = True
-        if sub.core.y0 > 0:
+        if is_cut(at.x0, at.y0 - 1):
             core[:width] = True
-        if sub.core.y1 < native.height:
+        if is_cut(at.x0, at.y1):
             core[-width:] = True
     return mask
 
 
 def _regions(native: NativeImage, band: int) -> dict[str, NDArray[np.bool_]]:
     inner, outer = band_mask(native, band), band_mask(native, (1 + _BESIDE) * band)
-    return {"band": inner, "beside": outer & ~inner, "elsewhere": ~inner}
+    cut = np.zeros_like(inner)
+    for sub in native.sub_images:
+        cut[sub.core.slices_in(native.rectangle)] = True
+    return {"band": inner, "beside": outer & ~inner, "elsewhere": cut & ~inner}
 
 
 def _means(rows: list[dict[str, Any]], measure: str) -> dict[str, Any]:

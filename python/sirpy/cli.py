@@ -330,6 +330,7 @@ def export(
 
 @app.command()
 def stereo(
+    context: typer.Context,
     workspace: WorkspaceFolder,
     max_cost: Annotated[float, typer.Option(help="1 - NCC above which there is no depth.")] = 0.8,
     min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
@@ -352,6 +353,11 @@ def stereo(
 
     folder = Workspace(workspace)
     if explain is not None:
+        if given := _given(context, "max_cost", "min_consistent", "threads"):
+            raise InputError(
+                f"{given[0]} belongs to the estimate, and --explain draws the one that is there: give "
+                "one of the two"
+            )
         print(f"picture: {draw(folder, explain, output)}")
         return
     if output is not None:
@@ -435,6 +441,16 @@ def _report_left_out(left_out: Sequence[LeftOut]) -> None:
         raise InputError(
             f"the result is made without {len(left_out)} of the photographs ({reasons}{more})"
         )
+
+
+def _given(context: typer.Context, *parameters: str) -> list[str]:
+    """The options among these that the user gave, as they are written."""
+    by_user = (
+        name
+        for name in parameters
+        if (source := context.get_parameter_source(name)) and source.name == "COMMANDLINE"
+    )
+    return [f"--{name.replace('_', '-')}" for name in by_user]
 
 
 def _grid(

@@ -79,6 +79,23 @@ def passes(coarsest: int, options: StereoOptions) -> list[StereoPass]:
     ]
 
 
+def estimated_window(
+    unit: Unit, of_pass: StereoPass, halo: int, options: FilterOptions
+) -> Rectangle:
+    """What a pass estimates of a unit, pixels of its level: what it keeps, and of the halo as much as can
+    have a say."""
+    kept, reach = _kept(unit, of_pass), of_pass.margin
+    if of_pass.is_last:  # what is filtered must know the islands that reach into what is kept
+        reach += options.margin
+    covered = at_level(unit.native.covered, of_pass.level)
+    return kept.padded(min(halo, reach)).intersection(covered)
+
+
+def _kept(unit: Unit, of_pass: StereoPass) -> Rectangle:
+    """The maps that are left at the end hold all that a sub-image stores."""
+    return unit.sub_image.stored if of_pass.is_last and unit.sub_image else unit.kept
+
+
 def stereo(
     workspace: Workspace,
     *,
@@ -99,7 +116,7 @@ def stereo(
     views = read_views(workspace)
     what = {key: value for key, value in asdict(options).items() if key != "threads"}
     workspace.begin_stage("stereo", fingerprint(workspace.fingerprint_of("views"), what))
-    if any(not workspace.depth_map(sub, "geometric").exists() for _, sub in workspace.sub_images()):
+    if not all(_are_there(workspace.stereo_maps(sub)) for _, sub in workspace.sub_images()):
         estimator = _Estimator(workspace, views, options)
         before = None
         for of_pass in passes(views.coarsest, options):
@@ -122,7 +139,7 @@ class _Estimator:
         coarsest = self._views.coarsest
         maps = PassMaps(self._workspace, before, coarsest) if before else None
         everything = list(units(self._workspace.natives, of_pass.level, coarsest))
-        todo = [unit for unit in everything if not self._output(unit, of_pass).exists()]
+        todo = [unit for unit in everything if not _are_there(self._outputs(unit, of_pass))]
         if len(todo) < len(everything):
             done = len(everything) - len(todo)
             progress.note(f"{of_pass.title}: {done} of {len(everything)} are done already")
@@ -135,21 +152,18 @@ class _Estimator:
                     self._prepare(unit, of_pass, maps)
                 step.advance()
 
-    def _output(self, unit: Unit, of_pass: StereoPass) -> Path:
-        """What is written last of a unit."""
+    def _outputs(self, unit: Unit, of_pass: StereoPass) -> tuple[Path, ...]:
+        """The files of a unit: it is done when they are there."""
         if of_pass.is_last and unit.sub_image is not None:
-            return self._workspace.depth_map(unit.sub_image, "geometric")
-        return self._workspace.pass_map(unit.name, of_pass.name)
+            return self._workspace.stereo_maps(unit.sub_image)
+        return (self._workspace.pass_map(unit.name, of_pass.name),)
 
     def _estimate(
-        self, unit: Unit, kept: Rectangle, of_pass: StereoPass, before: PassMaps | None
+        self, unit: Unit, of_pass: StereoPass, before: PassMaps | None
     ) -> tuple[Rectangle, dict[str, npt.NDArray[Any]]]:
-        """The window, `kept` with its halo, and what the pass finds in it."""
+        """The window of a unit, and what the pass finds in it."""
         native, level = unit.native, of_pass.level
-        # What is filtered must know the islands that reach into what is kept.
-        reach = of_pass.margin + (self._options.margin if of_pass.is_last else 0)
-        halo = min(self._views.halo, reach)
-        window = kept.padded(halo).intersection(at_level(native.covered, level))
+        window = estimated_window(unit, of_pass, self._views.halo, self._options)
         field = self._views.fields[native.name]
         if not field.sources:
             return window, nothing_found(window)
@@ -161,6 +175,7 @@ class _Estimator:
             covered=self._covered,
         )
         depths = before if of_pass.kind == "geometric" else None
+        start = before.start(native.name, window, level) if before else None
         found = _core.patch_match(
             reference=self._view(native, window, level),
             sources=[
@@ -171,18 +186,19 @@ class _Estimator:
             allowed=field.allowed,
             min_depth=field.min_depth,
             max_depth=field.max_depth,
-            points=self._sparse_points(native) if before is None else np.empty((0, 3)),
-            start=before.start(native.name, window, level) if before else None,
+            points=self._sparse_points(native) if start is None else np.empty((0, 3)),
+            start=start,
             options=self._core_options(of_pass, native),
         )
         return window, found
 
     def _prepare(self, unit: Unit, of_pass: StereoPass, before: PassMaps | None) -> None:
         """A pass that another starts from. Nothing of it is held when the next unit begins."""
-        window, found = self._estimate(unit, unit.kept, of_pass, before)
+        window, found = self._estimate(unit, of_pass, before)
         if of_pass.complete:
             self._complete(unit.native, window, of_pass.level, found)
-        write_planes(self._output(unit, of_pass), found, unit.kept.slices_in(window))
+        (path,) = self._outputs(unit, of_pass)
+        write_planes(path, found, _kept(unit, of_pass).slices_in(window))
 
     def _complete(
         self,
@@ -219,7 +235,7 @@ class _Estimator:
     ) -> None:
         """The last pass: its maps are filtered and stand in COLMAP's folders; missing pixels are 0."""
         workspace = self._workspace
-        window, found = self._estimate(unit, sub_image.stored, of_pass, before)
+        window, found = self._estimate(unit, of_pass, before)
         camera = self._scene.cameras[unit.native.name]
         offered = self._views.fields[unit.native.name].num_sources(window)
         reason, confidence = filter_depths(
@@ -231,14 +247,14 @@ class _Estimator:
             self._options,
         )
         reason = np.where(offered == 0, np.uint8(Reason.NO_SOURCES), reason)
-        kept = sub_image.stored.slices_in(window)
+        kept = _kept(unit, of_pass).slices_in(window)
         missing = reason[kept] != 0
         write_map(workspace.reason_map(sub_image), reason[kept].astype(np.float32))
         write_map(workspace.confidence_map(sub_image), confidence[kept])
         normal = np.where(missing, np.float32(0), found["normal"][(slice(None), *kept)])
         write_map(workspace.normal_map(sub_image, "geometric"), normal)
         depth = np.where(missing, np.float32(0), found["depth"][kept])
-        write_map(workspace.depth_map(sub_image, "geometric"), depth)  # the last: it is done
+        write_map(workspace.depth_map(sub_image, "geometric"), depth)
 
     def _view(
         self,
@@ -309,6 +325,10 @@ def count_reasons(workspace: Workspace) -> dict[str, dict[str, int]]:
             count[_name(one)] += int(hit.sum())
             left = left[~hit]
     return counts
+
+
+def _are_there(paths: tuple[Path, ...]) -> bool:
+    return all(path.exists() for path in paths)
 
 
 def _name(reason: Reason) -> str:

@@ -37,6 +37,7 @@ _COLUMNS = 3
 _GAP, _TITLE, _LINE, _BAR = 15, 26, 30, 10
 _TEXT = 18
 _PAPER, _INK, _KEPT = (250, 250, 248), (28, 31, 36), (228, 232, 236)
+NOT_CUT_COLOUR = (84, 104, 150)
 _LIGHT = np.array([-0.5, -0.6, -0.62])  # towards the light, camera frame: from the upper left
 _SUREST = 3.0  # nines: 99.9 %
 _ROWS = 512  # of a reason map, counted at a time
@@ -53,10 +54,10 @@ def explain(workspace: Workspace, name: str, output: Path | None = None) -> Path
         InputError: there is no such image, or stereo has not estimated all of it.
         OutputError: the picture cannot be written.
     """
+    frame = _frame(workspace, name)
     output = output or workspace.explanation(name)
     if output.suffix.lower() != ".png":
         raise InputError(f"--output {output}: the picture is a PNG, give a name that ends in .png")
-    frame = _frame(workspace, name)
     _check_estimated(workspace, name, frame)
     panels = _panels(workspace, frame)
     picture = _arranged(name, frame, panels, _legend(workspace, frame))
@@ -74,20 +75,14 @@ def _frame(workspace: Workspace, name: str) -> Frame:
                 return Frame.of_sub_image(sub_image, _PANEL)
     names = [sub_image.name for _, sub_image in workspace.sub_images()]
     raise InputError(
-        f"{workspace.folder} has no image {name}: give one of {first_few(names)}, or one of its "
+        f"{workspace.folder} has no image {name or 'without a name'}: give one of {first_few(names)}, or one of its "
         f"photographs, {first_few([native.name for native in workspace.natives])}"
     )
 
 
 def _check_estimated(workspace: Workspace, name: str, frame: Frame) -> None:
     for sub_image, _ in frame.parts:
-        maps = (
-            workspace.depth_map(sub_image, "geometric"),
-            workspace.normal_map(sub_image, "geometric"),
-            workspace.confidence_map(sub_image),
-            workspace.reason_map(sub_image),
-        )
-        missing = [path for path in maps if not path.exists()]
+        missing = [path for path in workspace.stereo_maps(sub_image) if not path.exists()]
         if missing:
             raise InputError(
                 f"{name} is not estimated yet (there is no {missing[0]}): run `sirpy stereo "
@@ -127,7 +122,7 @@ def _panels(workspace: Workspace, frame: Frame) -> list[_Panel]:
             _sureness(1 - 10.0 ** np.linspace(0, -_SUREST, _PANEL)[None]),
             ("0 %", "90 %", "99 %", "99.9 %"),
         ),
-        _Panel("why there is no depth", _reason_palette()[first_reasons(reason)]),
+        _Panel("why there is no depth", _reason_colours(reason, frame)),
     ]
 
 
@@ -158,16 +153,18 @@ def _sureness(confidence: NDArray[np.floating]) -> Picture:
     return turbo(0.9 - 0.8 * nines / _SUREST)
 
 
-def _reason_palette() -> Picture:
-    """The colour of each first reason, (256, 3)."""
-    palette = np.full((256, 3), _KEPT, np.uint8)
-    for reason, colour in zip(Reason, REASON_COLOURS, strict=True):
-        palette[reason] = rgb(colour)
-    return palette
+def _reason_colours(reason: NDArray[np.uint8], frame: Frame) -> Picture:
+    palette = np.full((256, 3), _KEPT, np.uint8)  # by the first reason
+    for one, colour in zip(Reason, REASON_COLOURS, strict=True):
+        palette[one] = rgb(colour)
+    colours = palette[first_reasons(reason)]
+    colours[~frame.held()] = NOT_CUT_COLOUR
+    return colours
 
 
 def _legend(workspace: Workspace, frame: Frame) -> list[tuple[tuple[int, int, int], str]]:
-    """Colour and words of what becomes of pixels, counted in all of those shown; adds up to 1."""
+    """Colour and words of what becomes of pixels, counted in all of those shown that were cut: their
+    shares add up to 1."""
     counts = np.zeros(256, np.int64)
     for sub_image, shown in frame.parts:
         stored = open_map(workspace.reason_map(sub_image), sub_image.stored)[0]
@@ -179,6 +176,8 @@ def _legend(workspace: Workspace, frame: Frame) -> list[tuple[tuple[int, int, in
     lines = [(_KEPT, f"with depth {shares[0]:.1%}")]
     for reason, colour in zip(Reason, REASON_COLOURS, strict=True):
         lines.append((rgb(colour), f"{reason.name} {shares[reason]:.1%}".lower().replace("_", " ")))
+    if left_out := 1 - counts.sum() / frame.rectangle.area:
+        lines.append((NOT_CUT_COLOUR, f"not cut ({left_out:.1%} of the photograph)"))
     return lines
 
 

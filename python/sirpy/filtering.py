@@ -90,12 +90,11 @@ class FilterOptions:
 
 
 def check_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) -> None:
-    """Raises InputError that names the command line's option whose value is out of its bounds."""
+    """Raises InputError that names the field whose value is out of its bounds."""
     for name, (low, high) in bounds.items():
         value = getattr(options, name)
         if not low <= value <= high:
-            option = name.replace("_", "-")
-            raise InputError(f"--{option} {value} is not possible: choose {low} to {high}")
+            raise InputError(f"{name} = {value} is not possible: choose {low} to {high}")
 
 
 def filter_depths(

@@ -17,6 +17,7 @@ from sirpy.errors import InputError
 from sirpy.files import fingerprint, written_whole
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeScene, read_native_scene
+from sirpy.npy import open_npy, write_npy
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.view_selection import Views, read_views
@@ -63,7 +64,8 @@ def fuse(
     """Fuses the geometric depth maps into fused.ply; returns the number of points.
 
     Raises:
-        InputError: depth maps are missing (run `stereo` first), or an option is out of range.
+        InputError: depth maps are missing (run `stereo` first), a file is damaged, or an option is out
+            of range.
     """
     options = options or FusionOptions()
     progress = progress or Progress()
@@ -83,24 +85,32 @@ def fuse(
             part = workspace.fused_part(sub_image)
             if not part.exists():
                 points = _fuse_core(workspace, natives, scene, views, native, sub_image, options)
-                with written_whole(part) as path:
-                    np.save(path, points)
+                write_npy(part, points)
             step.advance()
     return write_cloud(workspace.fused, [workspace.fused_part(sub_image) for _, sub_image in todo])
 
 
 def write_cloud(path: Path, parts: list[Path]) -> int:
-    """Writes the points of all parts (.npy of POINT) as one binary PLY file; returns their number."""
+    """Writes the points of all parts (.npy of POINT) as one binary PLY file; returns their number.
+
+    Raises:
+        InputError: a part is missing or damaged.
+        OutputError: the cloud cannot be written.
+    """
     # One part is open at a time: there may be more of them than a process may open files.
-    count = sum(len(np.load(part, mmap_mode="r")) for part in parts)
+    count = sum(len(_open_part(part)) for part in parts)
     kind = {"<f4": "float", "|u1": "uchar"}
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
     header += [f"property {kind[POINT[name].str]} {name}" for name in POINT.names or ()]
     with written_whole(path) as temporary, temporary.open("wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
         for part in parts:
-            file.write(np.load(part, mmap_mode="r").tobytes())
+            file.write(_open_part(part).tobytes())
     return count
+
+
+def _open_part(path: Path) -> npt.NDArray[np.void]:
+    return open_npy(path, POINT, (None,), "`sirpy fuse`")
 
 
 def _fuse_core(

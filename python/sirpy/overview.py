@@ -6,10 +6,12 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sirpy import _core
 from sirpy.errors import InputError
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.rectangle import Rectangle
@@ -58,6 +60,13 @@ class Frame:
             if all(one.stop > one.start for one in place):
                 yield sub_image, shown, place
 
+    def held(self) -> NDArray[np.bool_]:
+        """True at the middles that a sub-image holds, (height, width)."""
+        held = np.zeros(self.shape, np.bool_)
+        for _, _, place in self.places():
+            held[place] = True
+        return held
+
     def middles(self, place: tuple[slice, slice]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """y and x of the middles of a place, native pixels."""
         y, x = (np.arange(one.start, one.stop) * self.factor + self.factor // 2 for one in place)
@@ -69,7 +78,7 @@ class Frame:
 
 
 def photograph(workspace: Workspace, frame: Frame) -> NDArray[np.uint8]:
-    """RGB (height, width, 3), decimated by averages.
+    """RGB (height, width, 3), decimated by averages; 16 bits become 8 as in `windows.read_window`.
 
     Raises:
         InputError: a sub-image cannot be read.
@@ -77,7 +86,8 @@ def photograph(workspace: Workspace, frame: Frame) -> NDArray[np.uint8]:
     small = np.zeros((*frame.shape, 3), np.uint8)
     for sub_image, shown, (rows, columns) in frame.places():
         shape = (rows.stop - rows.start, columns.stop - columns.start)
-        small[rows, columns] = _mean_pixels(workspace.image(sub_image), sub_image, shown, shape)
+        pixels = _mean_pixels(workspace.image(sub_image), sub_image, shown, shape)
+        small[rows, columns] = _core.convert_pixels(pixels, "color", workspace.white)
     return small
 
 
@@ -124,7 +134,8 @@ def _decimation(rectangle: Rectangle, longest_side: int) -> int:
 
 def _mean_pixels(
     path: Path, sub_image: SubImage, shown: Rectangle, shape: tuple[int, int]
-) -> NDArray[np.uint8]:
+) -> NDArray[Any]:
+    """RGB as stored."""
     import rasterio
     from rasterio.enums import Resampling
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
@@ -145,6 +156,4 @@ def _mean_pixels(
                 )
     except RasterioError as error:
         raise InputError(f"the sub-image {path} cannot be read ({error}): cut again") from None
-    if pixels.dtype == np.uint16:
-        pixels = pixels // 257
-    return np.moveaxis(pixels.astype(np.uint8), 0, -1)
+    return np.ascontiguousarray(np.moveaxis(pixels, 0, -1))

@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
-from sirpy.errors import InputError
-from sirpy.files import written_whole
 from sirpy.native_images import NativeImage, SubImage
+from sirpy.npy import open_npy, write_npy
 from sirpy.rectangle import Rectangle
 from sirpy.windows import read_window
 from sirpy.workspace import Pass, Workspace
@@ -89,14 +88,12 @@ def native_pixels(rectangle: Rectangle, level: int, image: Rectangle) -> Rectang
 
 def units(natives: tuple[NativeImage, ...], level: int, coarsest: int) -> Iterator[Unit]:
     """Whole photographs (what is cut of them) at the coarsest level, otherwise the cores of the
-    sub-images."""
+    sub-images; those without a pixel of the level are none."""
     for native in natives:
-        if level == coarsest:
-            yield Unit(native, None, at_level(native.covered, level))
-            continue
-        for sub in native.sub_images:
-            kept = at_level(sub.core, level)
-            if kept.area:  # a core narrower than a pixel of the level may own none
+        whole = level == coarsest
+        for sub in (None,) if whole else native.sub_images:
+            kept = at_level(sub.core if sub else native.covered, level)
+            if kept.area:  # what is narrower than a pixel of the level may own none
                 yield Unit(native, sub, kept)
 
 
@@ -132,9 +129,8 @@ def nothing_found(window: Rectangle) -> dict[str, npt.NDArray[Any]]:
 def write_planes(path: Path, found: dict[str, npt.NDArray[Any]], kept: tuple[slice, slice]) -> None:
     """Writes what the next pass starts from of the rows and columns `kept`, whole or not at all."""
     bits = found["views"].view(np.float32)
-    planes = np.concatenate([found["depth"][None], found["normal"], bits[None]])
-    with written_whole(path) as temporary, temporary.open("wb") as file:
-        np.save(file, planes[(slice(None), *kept)])
+    parts = found["depth"][None], found["normal"], bits[None]
+    write_npy(path, np.concatenate([part[(slice(None), *kept)] for part in parts]))
 
 
 class PassMaps:
@@ -143,9 +139,9 @@ class PassMaps:
     def __init__(self, workspace: Workspace, of_pass: StereoPass, coarsest: int) -> None:
         self.level = of_pass.level
         self._workspace, self._pass = workspace, of_pass
-        self._units: dict[str, list[Unit]] = {}
+        self._units: dict[str, list[Unit]] = {one.name: [] for one in workspace.natives}
         for unit in units(workspace.natives, of_pass.level, coarsest):
-            self._units.setdefault(unit.native.name, []).append(unit)
+            self._units[unit.native.name].append(unit)
         self._extent = {one.name: at_level(one.covered, self.level) for one in workspace.natives}
 
     def read(
@@ -186,10 +182,15 @@ class PassMaps:
         columns = np.minimum((np.arange(rectangle.width) << levels) + half, fine.width - 1)
         return np.ascontiguousarray(depth[np.ix_(rows, columns)])
 
-    def start(self, native: str, rectangle: Rectangle, level: int) -> _core.StartMaps:
-        """What a pass over a rectangle of a level starts from; the maps are of that level or one coarser."""
+    def start(self, native: str, rectangle: Rectangle, level: int) -> _core.StartMaps | None:
+        """What a pass over a rectangle of a level starts from; the maps are of that level or one coarser.
+
+        None where the pass before had no pixel of the native image.
+        """
+        image = self._extent[native]
+        if not image.area:
+            return None
         if self.level > level:  # the four nearest of each pixel
-            image = self._extent[native]
             x0, y0 = rectangle.x0 // 2, rectangle.y0 // 2
             x1, y1 = (rectangle.x1 + 1) // 2, (rectangle.y1 + 1) // 2
             rectangle = Rectangle.from_corners(x0, y0, x1, y1).padded(1).intersection(image)
@@ -204,10 +205,5 @@ class PassMaps:
 
     def _open(self, unit: Unit) -> npt.NDArray[np.float32]:
         path = self._workspace.pass_map(unit.name, self._pass.name)
-        try:
-            planes: npt.NDArray[np.float32] = np.load(path, mmap_mode="r")
-        except (OSError, ValueError) as error:
-            raise InputError(f"cannot read {path} ({error}): run the stereo again") from None
-        if planes.shape != (5, unit.kept.height, unit.kept.width) or planes.dtype != np.float32:
-            raise InputError(f"{path} is damaged: delete it and run the stereo again")
-        return planes
+        shape = 5, unit.kept.height, unit.kept.width
+        return open_npy(path, np.float32, shape, "the stereo")

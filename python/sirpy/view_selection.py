@@ -157,17 +157,29 @@ def read_views(workspace: Workspace) -> Views:
             f"{workspace.folder} has no views.json: run `sirpy views` before stereo and fusion"
         ) from None
     natives = {native.name: native for native in workspace.natives}
-    sub_images = {sub.name for _, sub in workspace.sub_images()}
+    owners = {sub.name: native for native, sub in workspace.sub_images()}
     sources = {source.name for one in found.sub_images.values() for source in one.sources}
     sources |= {source.name for field in found.fields.values() for source in field.sources}
     shapes = {name: field_shape(one.width, one.height) for name, one in natives.items()}
     if (
         shapes != {name: (one.side, *one.allowed.shape) for name, one in found.fields.items()}
-        or found.sub_images.keys() != sub_images
-        or not natives.keys() | sources <= found.rank.keys()
+        or found.sub_images.keys() != owners.keys()
+        or not sources <= natives.keys() <= found.rank.keys()
+        or not all(
+            _is_part(window, image.rectangle)
+            for one in found.sub_images.values()
+            for window, image in (
+                (one.window, owners[one.name]),
+                *((source.window, natives[source.name]) for source in one.sources),
+            )
+        )
     ):
         raise InputError(f"{workspace.views} is of other sub-images than sir.json: {mend}")
     return found
+
+
+def _is_part(window: Rectangle, image: Rectangle) -> bool:
+    return window.width > 0 and window.height > 0 and image.contains(window)
 
 
 def _parsed_views(stored: Any) -> Views:
@@ -185,15 +197,15 @@ def _parsed_views(stored: Any) -> Views:
         for one in stored["sub_images"]
     ]
     rank = {str(name): int(value) for name, value in stored["rank"].items()}
-    coarsest = int(stored["coarsest"])
-    if coarsest < LEAST_COARSEST:
-        raise ValueError(f"coarsest = {coarsest}")
+    coarsest, halo = int(stored["coarsest"]), int(stored["halo"])
+    if coarsest < LEAST_COARSEST or halo < 0:
+        raise ValueError(f"coarsest = {coarsest}, halo = {halo}")
     return Views(
         {one.name: one for one in fields},
         {one.name: one for one in found},
         rank,
         coarsest,
-        int(stored["halo"]),
+        halo,
     )
 
 

@@ -50,11 +50,12 @@ def read_window(
         InputError: there is no such native image, or a sub-image is missing or damaged.
     """
     native = workspace.native(native_name)
-    white = max(one.white for one in workspace.natives)
     window: NDArray[Any] | None = None
     for sub, part in _parts(native, rectangle):
         rows, columns = part.slices_in(sub.stored)
-        seen = _CACHE.read(workspace.image(sub), sub.stored, (rows, columns), pixels, white)
+        seen = _CACHE.read(
+            workspace.image(sub), sub.stored, (rows, columns), pixels, workspace.white
+        )
         if window is None:
             window = np.zeros((rectangle.height, rectangle.width, *seen.shape[2:]), seen.dtype)
         window[part.slices_in(rectangle)] = seen

@@ -230,6 +230,15 @@ class Workspace:
     def reason_map(self, sub_image: SubImage) -> Path:
         return self.stereo / "reason_maps" / f"{sub_image.name}.bin"
 
+    def stereo_maps(self, sub_image: SubImage) -> tuple[Path, ...]:
+        """All that stereo makes of a sub-image."""
+        return (
+            self.reason_map(sub_image),
+            self.confidence_map(sub_image),
+            self.normal_map(sub_image, "geometric"),
+            self.depth_map(sub_image, "geometric"),
+        )
+
     @property
     def passes(self) -> Path:
         """What stereo starts its next pass from; removed when it is done."""
@@ -303,6 +312,11 @@ class Workspace:
         return {native.name: native for native in self.natives}
 
     @property
+    def white(self) -> int:
+        """The sample value that shows as white in 8 bit: the brightest native image's."""
+        return max(native.white for native in self.natives)
+
+    @property
     def left_out(self) -> tuple[LeftOut, ...]:
         return self._index[1]
 
@@ -323,7 +337,8 @@ class Workspace:
         Output of other inputs or options is removed, with that of the later stages.
 
         Raises:
-            OutputError: the folder holds something under the name of an output that no stage made.
+            OutputError: the folder holds something under the name of an output that no stage made, or
+                earlier output cannot be removed.
         """
         fingerprint = f"{__version__} {fingerprint}"
         known = self._known_stages()
@@ -418,7 +433,13 @@ def check_writable(folder: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+    """Raises OutputError that names what cannot be removed."""
+    try:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"cannot remove {path}: {error.strerror or error}; mend that, then run the same command again"
+        ) from error

@@ -140,8 +140,11 @@ def test_a_stage_on_a_folder_that_is_no_workspace(tmp_path: Path, stage: str) ->
 
 def test_an_option_out_of_range_writes_nothing(town: Path, output: Path) -> None:
     model = ("--model", str(town / "sparse"))
-    for option in (("--num-sources", "0"), ("--threads", "-2")):
-        _assert_refused(_reconstruct(town / "images", output, *model, *option), output, option[0])
+    for option, words in (
+        (("--num-sources", "0"), "--num-sources 0 is not possible"),
+        (("--threads", "-2"), "threads = -2 is not possible"),
+    ):
+        _assert_refused(_reconstruct(town / "images", output, *model, *option), output, words)
 
 
 def test_a_workspace_below_the_photographs_holds_no_photographs(town: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -61,6 +62,7 @@ def _stereo(
     halo: int,
     threads: int = 2,
     region: Region = Region(),
+    options: StereoOptions = QUICK,
 ) -> Workspace:
     workspace = cut(
         scene / "images",
@@ -73,7 +75,7 @@ def _stereo(
         ),  # JPEG compresses the pixels of other sub-images otherwise
     )
     views(workspace, num_sources=2, halo=halo)
-    stereo(workspace, options=replace(QUICK, threads=threads))
+    stereo(workspace, options=replace(options, threads=threads))
     return workspace
 
 
@@ -121,6 +123,23 @@ def test_with_the_full_halo_a_grid_changes_nothing(
     assert (_sorted_points(cut_up) == _sorted_points(whole)).all()
 
 
+def test_with_the_default_passes_a_grid_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dense_stereo, "passes", passes)
+    options, halo = StereoOptions(), 160
+    of_sub_images = [one for one in passes(2, options) if one.level < 2]
+    assert max(one.margin + options.margin * one.is_last for one in of_sub_images) <= halo
+    scene = render_scene(tmp_path / "scene", image_count=3, size=(480, 110), seed=5)
+    expected, found = (
+        _maps(_stereo(scene, tmp_path / str(grid), grid, halo, options=options))
+        for grid in (Grid(1, 1), Grid(3, 2))
+    )
+    for name, planes in expected.items():
+        np.testing.assert_array_equal(found[name], planes, name)
+    assert sum((planes[0] > 0).sum() for planes in expected.values()) > 20_000
+
+
 def test_of_a_region_of_interest_a_grid_changes_nothing(field: Path, tmp_path: Path) -> None:
     # Its corners lie inside pixels of the coarser levels; a sub-image is a pixel wide.
     region = Region(roi=Rectangle(53, 31, 301, 130))
@@ -132,6 +151,38 @@ def test_of_a_region_of_interest_a_grid_changes_nothing(field: Path, tmp_path: P
         assert (planes[0] >= 0).sum() == 301 * 130
         np.testing.assert_array_equal(found[name], planes, name)
     assert sum((planes[0] > 0).sum() for planes in expected.values()) > 5000
+
+
+def test_what_is_narrower_than_a_coarse_pixel_starts_at_a_finer_level(
+    field: Path, tmp_path: Path
+) -> None:
+    # No pixel of level 2 begins in it, and one column of level 1.
+    narrow = "strip1_002.jpg"
+    region = Region(rois={narrow: Rectangle(201, 20, 3, 150)})
+    expected, found = (
+        _maps(_stereo(field, tmp_path / str(grid), grid, FULL, region=region))
+        for grid in (Grid(1, 1), Grid(1, 3))
+    )
+    assert (expected[narrow][0] >= 0).sum() == 3 * 150
+    assert (expected[narrow][0] > 0).sum() > 100
+    for name, planes in expected.items():
+        np.testing.assert_array_equal(found[name], planes, name)
+    # Of every photograph a single native pixel: there is nothing to match.
+    speck = _stereo(field, tmp_path / "1", Grid(1, 1), FULL, region=Region(Rectangle(5, 5, 1, 1)))
+    assert all((planes[0] <= 0).all() for planes in _maps(speck).values())
+
+
+def test_maps_that_are_deleted_are_made_again(whole: Workspace, tmp_path: Path) -> None:
+    workspace = Workspace(shutil.copytree(whole.folder, tmp_path / "out"))
+    maps = [workspace.stereo_maps(sub) for _, sub in workspace.sub_images()]
+    untouched = {path: path.stat().st_mtime_ns for path in maps[-1]}
+    for index in range(4):  # another kind of each of the first photographs
+        maps[index][index].unlink()
+    stereo(workspace, options=QUICK)
+    for path in (path for paths in maps for path in paths):
+        assert path.read_bytes() == (whole.folder / path.relative_to(workspace.folder)).read_bytes()
+    assert untouched == {path: path.stat().st_mtime_ns for path in maps[-1]}
+    assert not workspace.passes.exists()
 
 
 def test_a_source_that_samples_more_finely_is_matched_at_a_coarser_level(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import rasterio
 from sirpy import explaining
 from sirpy.cli import app
 from sirpy.errors import InputError
-from sirpy.explaining import explain
+from sirpy.explaining import NOT_CUT_COLOUR, explain
 from sirpy.filtering import Reason
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.pictures import MISSING_COLOUR, REASON_COLOURS, Text, encoded_png, rgb, with_texts
@@ -63,6 +63,19 @@ def scene(tmp_path: Path) -> Scene:
     return Scene(workspace, pixels, reason)
 
 
+@pytest.fixture
+def words(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is written into pictures."""
+    written: list[str] = []
+
+    def recorded(image: np.ndarray, texts: list[Text], colour: tuple[int, int, int]) -> np.ndarray:
+        written.extend(text.words for text in texts)
+        return with_texts(image, texts, colour)
+
+    monkeypatch.setattr(explaining, "with_texts", recorded)
+    return written
+
+
 def read(path: Path) -> np.ndarray:
     with rasterio.open(path) as file:
         return np.moveaxis(file.read(), 0, -1)
@@ -97,19 +110,21 @@ def test_a_whole_photograph_is_put_together_from_its_sub_images(scene: Scene) ->
     assert len(np.unique(reasons[~missing], axis=0)) == 1
 
 
-def test_the_legend_names_each_reason_and_its_share(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words: list[str] = []
-
-    def recorded(image: np.ndarray, texts: list[Text], colour: tuple[int, int, int]) -> np.ndarray:
-        words.extend(text.words for text in texts)
-        return with_texts(image, texts, colour)
-
-    monkeypatch.setattr(explaining, "with_texts", recorded)
+def test_the_legend_names_each_reason_and_its_share(scene: Scene, words: list[str]) -> None:
     explain(scene.workspace, "a.png")
     assert {"a.png", "with depth 85.0%", "speckle 10.0%", "high cost 5.0%"} <= set(words)
     assert "inconsistent 0.0%" in words  # counted under the first reason
+
+
+def test_what_is_not_cut_has_a_colour_and_words_of_its_own(scene: Scene, words: list[str]) -> None:
+    native = scene.workspace.natives[0]
+    scene.workspace.write_index([replace(native, sub_images=native.sub_images[:3])], [])
+    *_, reasons = panels(read(explain(scene.workspace, "a.png")), 160, 240, 3)
+    left_out = np.zeros((160, 240), bool)
+    left_out[80:, 120:] = True
+    np.testing.assert_array_equal((reasons == NOT_CUT_COLOUR).all(axis=-1), left_out)
+    # Shares are of what was cut: 36 columns of 160 rows have no depth.
+    assert {"not cut (25.0% of the photograph)", "with depth 80.0%"} <= set(words)
 
 
 def test_a_sub_image_is_shown_with_all_that_it_stores(scene: Scene, tmp_path: Path) -> None:
@@ -146,8 +161,16 @@ def test_mistakes_are_said_in_a_sentence(scene: Scene) -> None:
     for name in (sub.name, "a.png"):
         with pytest.raises(InputError, match=f"{name} is not estimated yet .*: run `sirpy stereo"):
             explain(scene.workspace, name)
-    arguments = ["stereo", str(scene.workspace.folder), "-o", "maps"]
-    assert "--output belongs to --explain" in str(CliRunner().invoke(app, arguments).exception)
+    with pytest.raises(InputError, match=r"has no image without a name: give one of a_r0_c0\.png"):
+        explain(scene.workspace, "")
+    for options, sentence in [
+        (["-o", "maps"], "--output belongs to --explain"),
+        (["--explain", "a.png", "--max-cost", "0.8"], "--max-cost belongs to the estimate, and"),
+        (["--explain", "a.png", "--threads", "2"], "--threads belongs to the estimate, and"),
+        (["--explain", ""], "has no image without a name"),
+    ]:
+        done = CliRunner().invoke(app, ["stereo", str(scene.workspace.folder), *options])
+        assert isinstance(done.exception, InputError) and sentence in str(done.exception)
 
 
 def test_text_is_shortened_to_fit() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,21 @@ def test_the_cloud_does_not_depend_on_the_grid(
         clouds.append(np.sort(points, order=["x", "y", "z"]))
     assert len(clouds[0]) > 10_000
     np.testing.assert_array_equal(clouds[0], clouds[1])
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:200], lambda data: b"", lambda data: b"x"])
+def test_a_damaged_part_is_said_and_made_again(
+    perfect: Workspace, damage: Callable[[bytes], bytes]
+) -> None:
+    fuse(perfect)
+    cloud = perfect.fused.read_bytes()
+    part = perfect.fused_part(perfect.natives[2].sub_images[1])
+    part.write_bytes(damage(part.read_bytes()))
+    with pytest.raises(InputError, match=f"{part} .*: delete it and run `sirpy fuse` again"):
+        fuse(perfect)
+    part.unlink()
+    fuse(perfect)
+    assert perfect.fused.read_bytes() == cloud
 
 
 def test_duplicates_are_kept_on_request(town: Path, perfect: Workspace) -> None:

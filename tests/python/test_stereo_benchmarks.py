@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
+from sirpy.dense_stereo import StereoOptions, passes
 from sirpy.model_arrays import PosedImage, SparseModel
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeCamera
-from sirpy.rectangle import Grid
+from sirpy.rectangle import Grid, Rectangle
 from sirpy.windows import write_map
 from stereo_decimation import area_mean, scaled_model
-from stereo_grids import most_connected
+from stereo_grids import most_connected, overhead
 from stereo_maps import error_in_gsd, quality, true_depth
 from stereo_seams import band_mask
 
@@ -75,6 +77,42 @@ def test_a_band_lies_on_both_sides_of_inner_borders_only() -> None:
     expected[:, 3:7] = True
     expected[2:6] = True
     np.testing.assert_array_equal(mask, expected)
+
+
+def test_the_end_of_what_is_cut_is_no_seam() -> None:
+    region = Rectangle(1, 2, 8, 5)
+    tiles = [
+        SubImage(f"{row}{col}", row, col, one, one) for row, col, one in Grid(2, 1).tiles(region)
+    ]
+    expected = np.zeros((8, 10), bool)
+    expected[2:7, 3:7] = True
+    mask = band_mask(NativeImage("a.jpg", 10, 8, tuple(tiles)), 2)
+    np.testing.assert_array_equal(mask, expected)
+
+    whole = native_image(10, 8, Grid(2, 2))
+    without_last = replace(whole, sub_images=whole.sub_images[:3])
+    expected = np.zeros((8, 10), bool)
+    expected[:4, 3:7] = expected[2:6, :5] = True
+    np.testing.assert_array_equal(band_mask(without_last, 2), expected)
+
+
+def test_what_a_halo_adds_is_what_the_passes_estimate() -> None:
+    natives = (native_image(1000, 100, Grid(2, 1)),)
+    found = overhead(natives, 2, 16)
+    assert found["estimated_to_core"] == pytest.approx(1 + 2 * 16 / 1000)
+    # Columns by rows by sweeps; the halo is as wide at every level, and no whole photograph has one.
+    sweeps = [
+        (1000 >> one.level, 100 >> one.level, one.iterations, 32 * (one.level < 2))
+        for one in passes(2, StereoOptions())
+    ]
+    bare = sum(columns * rows * times for columns, rows, times, _ in sweeps)
+    more = sum(halo * rows * times for _, rows, times, halo in sweeps)
+    assert found["sweeps_to_no_halo"] == pytest.approx(1 + more / bare)
+    # No more than can have a say.
+    (native_pass,) = (one for one in passes(2, StereoOptions()) if one.name == "level0.photometric")
+    assert overhead(natives, 2, 450)["estimated_to_core"] == pytest.approx(
+        1 + 2 * native_pass.margin / 1000
+    )
 
 
 def test_errors_are_along_the_ray_and_say_what_is_missing() -> None:

@@ -47,11 +47,16 @@ def test_what_is_read_is_what_was_found(workspace: Workspace, found: Views) -> N
             assert one.dtype == other.dtype and np.array_equal(one, other)
 
 
+def _source(stored: Any) -> Any:
+    return stored["sub_images"][0]["sources"][0]
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
         (lambda one: one.update(version=1), "was made by another version"),
         (lambda one: one.update(coarsest=1), "is damaged"),
+        (lambda one: one.update(halo=-1), "is damaged"),
         (lambda one: one["images"].pop(), "is of other sub-images"),
         (lambda one: one["images"][0]["allowed"].pop(), "is damaged"),
         (lambda one: one["images"][0]["allowed"][0].__setitem__(0, 1 << 20), "is damaged"),
@@ -61,6 +66,11 @@ def test_what_is_read_is_what_was_found(workspace: Workspace, found: Views) -> N
         (lambda one: one["images"][0]["sources"][0].update(level=4), "is damaged"),
         (lambda one: one["images"][0]["sources"][0].update(name="x"), "is of other sub-images"),
         (lambda one: one["images"][0].update(side=256), "is of other sub-images"),
+        (lambda one: one["sub_images"][0].update(window=[0, 0, 9999, 5]), "is of other sub-images"),
+        (lambda one: _source(one).update(window=[-5, 0, 20, 5]), "is of other sub-images"),
+        (lambda one: _source(one).update(window=[5, 5, 0, 5]), "is of other sub-images"),
+        (lambda one: _source(one).update(window=[5, 5, -3, -5]), "is of other sub-images"),
+        (lambda one: _source(one).update(window=[5, 5, 3]), "is damaged"),
     ],
 )
 def test_damaged_files_are_refused(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -151,3 +152,18 @@ def test_nothing_is_removed_from_a_folder_of_others(tmp_path: Path) -> None:
         Workspace(tmp_path).begin_stage("cut", "one")
     assert all(path.exists() for path in left)
     assert not (tmp_path / "stages.json").exists()
+
+
+def test_what_cannot_be_removed_is_said(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", path.name)
+
+    monkeypatch.setattr(shutil, "rmtree", refused)
+    sentence = f"cannot remove {workspace.native_model}: Permission denied; mend that"
+    with pytest.raises(OutputError, match=sentence):
+        workspace.begin_stage("cut", "two")
+    monkeypatch.undo()
+    assert not workspace.begin_stage("cut", "two")
+    assert not workspace.native_model.exists()
