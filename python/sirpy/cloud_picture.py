@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,11 @@ from sirpy.errors import InputError
 from sirpy.files import written_whole
 from sirpy.model_arrays import SparseModel
 from sirpy.pictures import encoded_png
-from sirpy.ply import read_vertices
+from sirpy.ply import read_chunks, read_vertices
 
 Floats = NDArray[np.float64]
 
-_CHUNK = 500_000  # points held at a time
+_CHUNK = 250_000  # points held at a time
 _BOUNDS_SAMPLE = 200_000
 _SUPERSAMPLING = 2
 _CLOSINGS = 3
@@ -47,22 +46,23 @@ def draw_cloud(
         InputError: the cloud cannot be read, or it holds no finite point.
         OutputError: the picture cannot be written.
     """
-    vertices = read_vertices(cloud)
+    cloud, count = Path(cloud), len(read_vertices(cloud))
     picture_from_world = _view(forward, up)
-    low, high = _bounds(vertices, picture_from_world, Path(cloud))
+    low, high = _bounds(cloud, count, picture_from_world)
     # A cloud of few points makes a small picture rather than one with more holes than points.
-    side = int(min(size, max(64, np.sqrt(len(vertices)))))
+    side = int(min(size, max(64, np.sqrt(count))))
     pixel = max(float((high - low).max()), 1e-12) / (side * _SUPERSAMPLING)
     width, height = (
         max(1, int(np.ceil(extent / pixel / _SUPERSAMPLING))) * _SUPERSAMPLING
         for extent in high - low
     )
     canvas = _Canvas(width, height)
-    for points, colours in _chunks(vertices):
+    for part in read_chunks(cloud, _CHUNK):
+        points, finite = _finite_points(part)
         seen = points @ picture_from_world.T
         column = np.floor((seen[:, 0] - low[0]) / pixel).astype(np.int64)
         row = np.floor((seen[:, 1] - low[1]) / pixel).astype(np.int64)
-        canvas.draw(column, row, seen[:, 2], colours)
+        canvas.draw(column, row, seen[:, 2], _colours(part[finite]))
     picture = Path(picture)
     with written_whole(picture) as temporary:
         temporary.write_bytes(encoded_png(canvas.developed()))
@@ -103,14 +103,12 @@ class _Canvas:
         inside = (column >= 0) & (row >= 0) & (column < self._width) & (row < self._height)
         pixel = row[inside] * self._width + column[inside]
         depth, colours = depth[inside], colours[inside]
-        # The nearest point of each pixel within this chunk, then against the chunks before.
-        order = np.lexsort((depth, pixel))
-        pixel, first = np.unique(pixel[order], return_index=True)
-        nearest = order[first]
-        in_front = depth[nearest] < self._depth[pixel]
-        pixel, nearest = pixel[in_front], nearest[in_front]
-        self._depth[pixel] = depth[nearest]
-        self._colours[pixel] = colours[nearest]
+        in_front = depth < self._depth[pixel]
+        pixel, depth, colours = pixel[in_front], depth[in_front], colours[in_front]
+        # The farthest first: of several points of a pixel the last one that is written stays.
+        order = np.argsort(depth, kind="stable")[::-1]
+        self._depth[pixel[order]] = depth[order]
+        self._colours[pixel[order]] = colours[order]
 
     def developed(self) -> NDArray[np.uint8]:
         """RGB of the picture: squares of pixels averaged, holes of a pixel or two closed."""
@@ -156,13 +154,11 @@ def _view(forward: tuple[float, float, float], up: tuple[float, float, float]) -
     return np.stack([x, np.cross(z, x), z])
 
 
-def _bounds(
-    vertices: NDArray[Any], picture_from_world: Floats, cloud: Path
-) -> tuple[Floats, Floats]:
+def _bounds(cloud: Path, count: int, picture_from_world: Floats) -> tuple[Floats, Floats]:
     """Least and greatest (x, y) in the picture's frame, without a few far outliers."""
-    sample = vertices[:: max(1, -(-len(vertices) // _BOUNDS_SAMPLE))]
-    points = np.stack([sample["x"], sample["y"], sample["z"]], axis=1).astype(np.float64)
-    points = points[np.isfinite(points).all(axis=1)]
+    step = max(1, -(-count // _BOUNDS_SAMPLE))
+    samples = [_finite_points(part[::step])[0] for part in read_chunks(cloud, _CHUNK)]
+    points = np.concatenate([np.empty((0, 3)), *samples])
     if len(points) == 0:
         raise InputError(f"the point cloud {cloud} holds no points: there is nothing to draw")
     seen = points @ picture_from_world[:2].T
@@ -171,14 +167,14 @@ def _bounds(
     return low - margin, high + margin
 
 
-def _chunks(vertices: NDArray[Any]) -> Iterator[tuple[Floats, NDArray[np.uint8]]]:
-    coloured = {"red", "green", "blue"} <= set(vertices.dtype.names or ())
-    for begin in range(0, len(vertices), _CHUNK):
-        part = np.array(vertices[begin : begin + _CHUNK])
-        points = np.stack([part["x"], part["y"], part["z"]], axis=1).astype(np.float64)
-        finite = np.isfinite(points).all(axis=1)
-        if coloured:
-            colours = np.stack([part["red"], part["green"], part["blue"]], axis=1)
-        else:
-            colours = np.full((len(part), 3), 128, np.uint8)
-        yield points[finite], colours[finite].astype(np.uint8)
+def _finite_points(part: NDArray[Any]) -> tuple[Floats, NDArray[np.bool_]]:
+    """The points (n, 3) of those vertices that have finite ones, and which these are."""
+    points = np.stack([part["x"], part["y"], part["z"]], axis=1).astype(np.float64)
+    finite = np.isfinite(points).all(axis=1)
+    return points[finite], finite
+
+
+def _colours(part: NDArray[Any]) -> NDArray[np.uint8]:
+    if not {"red", "green", "blue"} <= set(part.dtype.names or ()):
+        return np.full((len(part), 3), 128, np.uint8)
+    return np.stack([part["red"], part["green"], part["blue"]], axis=1).astype(np.uint8)

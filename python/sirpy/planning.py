@@ -41,7 +41,7 @@ _CUT_BYTES_PER_COLUMN = 3000
 _STEREO_GIVEN, _SHRINKING_BYTES = (21, 5), 50_000_000
 # Depth and its inverse 8, normal 12, mean depth and number of views 9; a point 45. (Then points 45 and 27, colour 6.)
 _FUSE_BYTES = (80, 8)  # per pixel of the core, and of each source window
-_REPORT_BYTES = 320_000_000  # its pictures, whatever the photographs
+_REPORT_BYTES = 220_000_000  # its pictures, whatever the photographs
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
 # Photographs and sub-images that a plan looks at, evenly chosen when there are more; and sub-images while a grid is
 # searched for.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,18 @@ def read_vertices(path: Path | str) -> NDArray[Any]:
     if count == 0:  # an empty file cannot be mapped
         return np.empty(0, data_type)
     return np.memmap(path, data_type, mode="r", offset=offset, shape=(count,))
+
+
+def read_chunks(path: Path | str, size: int) -> Iterator[NDArray[Any]]:
+    """The vertices of a PLY file, `size` at most at a time.
+
+    Mapped anew for each chunk: what has been read would count as memory while the file is mapped.
+
+    Raises:
+        InputError: as `read_vertices`.
+    """
+    for begin in range(0, len(read_vertices(path)), size):
+        yield np.array(read_vertices(path)[begin : begin + size])
 
 
 def _vertex_layout(path: Path, lines: list[str]) -> tuple[int, list[tuple[str, str]]]:
