@@ -170,7 +170,7 @@ def _bounds(cloud: Path, count: int, picture_from_world: Floats) -> tuple[Floats
 def _finite_points(part: NDArray[Any]) -> tuple[Floats, NDArray[np.bool_]]:
     """The points (n, 3) of those vertices that have finite ones, and which these are."""
     points = np.stack([part["x"], part["y"], part["z"]], axis=1).astype(np.float64)
-    finite = np.isfinite(points).all(axis=1)
+    finite = np.asarray(np.isfinite(points).all(axis=1))
     return points[finite], finite
 
 
