@@ -39,8 +39,9 @@ _CUT_BYTES_PER_COLUMN = 3000
 # What stereo hands to its core, for each pixel of the window (grey 1; of the pass before depth 4, normal 12, sources
 # 4) and of each source window (grey 1, inverse depth 4); bands of native pixels on their way to the coarsest level.
 _STEREO_GIVEN, _SHRINKING_BYTES = (21, 5), 50_000_000
-# Depth and its inverse 8, normal 12, mean depth and number of views 9; a point 45. (Then points 45 and 27, colour 6.)
-_FUSE_BYTES = (80, 8)  # per pixel of the core, and of each source window
+# Fusion, for each pixel of the core and of each source window: depths and their inverse 8, normal 12, mean depth and
+# number of views 9; then, when the inverse depths of the sources are gone, a point of 45.
+_FUSE_BYTES, _FUSE_BYTES_AT_END = (29, 8), (74, 4)
 _REPORT_BYTES = 220_000_000  # its pictures, whatever the photographs
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
 # Photographs and sub-images that a plan looks at, evenly chosen when there are more; and sub-images while a grid is
@@ -326,7 +327,7 @@ def _predict(
     process = _PROCESS_BYTES + _BYTES_PER_OBSERVATION * observations
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
-    fuse = max(_FUSE_BYTES[0] * area + _FUSE_BYTES[1] * sources for area, sources, _ in found)
+    fuse = max(_fuse_bytes(area, sources) for area, sources, _ in found)
     stereo = max(
         max(_stereo_bytes(*selection.pixels(native.name, sub)) for native, sub in chosen),
         max(_stereo_bytes(*selection.pixels(native.name, None)) for native in looked_at)
@@ -384,6 +385,13 @@ def _stereo_bytes(reference_pixels: int, source_pixels: int) -> int:
     given = _STEREO_GIVEN[0] * reference_pixels + _STEREO_GIVEN[1] * source_pixels
     return given + max(
         reference * reference_pixels + source * source_pixels, at_end * reference_pixels
+    )
+
+
+def _fuse_bytes(core_pixels: int, source_pixels: int) -> int:
+    return max(
+        core * core_pixels + source * source_pixels
+        for core, source in (_FUSE_BYTES, _FUSE_BYTES_AT_END)
     )
 
 
