@@ -18,6 +18,7 @@ from reconstruction import check_new, measured
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
 from sirpy.pictures import encoded_jpeg
 
+_LINE = 14  # of text, in the plot
 _QUALITY = 98  # of the decimated JPEG files
 _THRESHOLDS = {"f1_1": "#c2410c", "f1_2": "#1d6fb8", "f1_5": "#3f7d3a"}
 
@@ -102,7 +103,7 @@ def area_mean(pixels: NDArray[Any], size: int, axis: int) -> NDArray[np.float64]
 def plot(rows: list[dict[str, Any]]) -> str:
     """SVG of F1 against the width of the photographs, a line for each threshold."""
     rows = sorted(rows, key=lambda row: row["width"])
-    left, right, top, bottom = 56, 500, 24, 300
+    left, right, top, bottom = 56, 500, 50, 300
     widest: int = rows[-1]["width"]
 
     def x(width: float) -> float:
@@ -131,20 +132,23 @@ def plot(rows: list[dict[str, Any]]) -> str:
     parts.append(
         f'<text x="{middle}" y="352" text-anchor="middle">longest side of the photographs, pixels</text>'
     )
-    parts.append(f'<text x="{left}" y="14" text-anchor="middle">F1</text>')
+    parts.append(f'<text x="{left}" y="40" text-anchor="middle">F1</text>')
     for key, colour in _THRESHOLDS.items():
-        found = [(x(row["width"]), y(row["quality"][key]), row) for row in rows]
-        line = " ".join(f"{across:.1f},{down:.1f}" for across, down, _ in found)
+        places = [(x(row["width"]), y(row["quality"][key])) for row in rows]
+        line = " ".join(f"{across:.1f},{down:.1f}" for across, down in places)
         parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="2"/>')
-        for across, down, row in found:
-            parts.append(f'<circle cx="{across:.1f}" cy="{down:.1f}" r="4" fill="{colour}"/>')
+        parts += [
+            f'<circle cx="{across:.1f}" cy="{down:.1f}" r="4" fill="{colour}"/>'
+            for across, down in places
+        ]
+    for row in rows:
+        below = float("inf")
+        for key, colour in _THRESHOLDS.items():  # a looser threshold never has less
+            below = min(y(row["quality"][key]) - 8, below - _LINE)
+            name = f" at {key.removeprefix('f1_')} GSD" if row is rows[-1] else ""
+            anchor, shift = ("start", 8) if name else ("middle", 0)
             parts.append(
-                f'<text x="{across:.1f}" y="{down - 8:.1f}" text-anchor="middle" fill="{colour}">'
-                f"{row['quality'][key]:.2f}</text>"
+                f'<text x="{x(row["width"]) + shift:.1f}" y="{below:.1f}" text-anchor="{anchor}" '
+                f'fill="{colour}">{row["quality"][key]:.2f}{name}</text>'
             )
-        name = f"at {key.removeprefix('f1_')} GSD"
-        across, down, _ = found[-1]
-        parts.append(
-            f'<text x="{across + 12:.1f}" y="{down + 4:.1f}" fill="{colour}">{name}</text>'
-        )
     return "\n".join([*parts, "</svg>\n"])
