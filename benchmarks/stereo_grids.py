@@ -113,7 +113,8 @@ def _run_stages(scene: tuple[Path, Path], folder: Path, grid: str, halo: str, th
     check_new(folder)
     images, model = scene
     words = ["--model", model, "--output", folder, "--quiet"]
-    run_sirpy("cut", images, *words, *grid_words(grid))
+    # Without loss: each grid of a JPEG would be encoded in other blocks, and so be other pixels.
+    run_sirpy("cut", images, *words, *grid_words(grid), "--format", "png")
     run_sirpy("views", folder, "--halo", halo, "--quiet")
     return _Run(Workspace(folder), run_sirpy("stereo", folder, "--threads", threads, "--quiet"))
 
