@@ -25,7 +25,7 @@ _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the ma
 
 # Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
 # `evidence`. Fitted by benchmarks/confidence.py.
-CONFIDENCE = np.array([-1.633, 0.096, 2.009, -0.729, 4.522, -0.311])
+CONFIDENCE = np.array([-2.043, 0.122, 2.273, -0.605, 4.562, -0.331])
 
 
 class Reason(IntFlag):
