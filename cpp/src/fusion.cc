@@ -13,15 +13,14 @@
 #include <Eigen/LU>
 
 #include "depth_window.h"
+#include "option_bounds.h"
 
 namespace sirpy {
 namespace {
 
 void Require(bool satisfied, const std::string& field, double value,
              const std::string& constraint) {
-  if (satisfied) return;
-  throw std::invalid_argument("FusionOptions::" + field + " = " + std::to_string(value) +
-                              ". Violated constraint: " + field + " " + constraint);
+  RequireOption(satisfied, "FusionOptions", field, value, field + " " + constraint);
 }
 
 // A camera whose pixel centres are at whole numbers, and the window of inverse depths.

@@ -10,6 +10,7 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 
+#include "option_bounds.h"
 #include "patch_match/initialise.h"
 #include "patch_match/level.h"
 #include "patch_match/pyramid.h"
@@ -35,9 +36,7 @@ namespace {
 
 void Require(bool satisfied, const std::string& field, double value,
              const std::string& constraint) {
-  if (satisfied) return;
-  throw std::invalid_argument("PatchMatchOptions::" + field + " = " + std::to_string(value) +
-                              ". Violated constraint: " + field + " " + constraint);
+  RequireOption(satisfied, "PatchMatchOptions", field, value, field + " " + constraint);
 }
 
 KernelOptions MakeKernelOptions(const PatchMatchOptions& options) {

@@ -311,7 +311,7 @@ class Workspace:
     def _natives_by_name(self) -> dict[str, NativeImage]:
         return {native.name: native for native in self.natives}
 
-    @property
+    @cached_property
     def white(self) -> int:
         """The sample value that shows as white in 8 bit: the brightest native image's."""
         return max(native.white for native in self.natives)
@@ -406,8 +406,8 @@ class Workspace:
         return found
 
     def _forget_index(self) -> None:
-        self.__dict__.pop("_index", None)
-        self.__dict__.pop("_natives_by_name", None)
+        for derived in ("_index", "_natives_by_name", "white"):
+            self.__dict__.pop(derived, None)
 
     def fingerprint_of(self, stage: str) -> str:
         """The fingerprint that `stage` was begun with; empty when it never was."""

@@ -28,6 +28,26 @@ void CheckDimensions(const Array<T>& array, int dimensions, const char* name) {
   }
 }
 
+// Throws ValueError in Python unless `array` is a map of that size; `of` has it too.
+template <typename T>
+void CheckMap(const Array<T>& array, pybind11::ssize_t height, pybind11::ssize_t width,
+              const char* name, const char* of) {
+  CheckDimensions(array, 2, name);
+  if (array.shape(0) != height || array.shape(1) != width) {
+    throw pybind11::value_error(std::string(name) + " must have the size of " + of);
+  }
+}
+
+// The same of 3 planes.
+template <typename T>
+void CheckPlanes(const Array<T>& array, pybind11::ssize_t height, pybind11::ssize_t width,
+                 const char* name, const char* of) {
+  CheckDimensions(array, 3, name);
+  if (array.shape(0) != 3 || array.shape(1) != height || array.shape(2) != width) {
+    throw pybind11::value_error(std::string(name) + " must have 3 planes of the size of " + of);
+  }
+}
+
 // Hands a result's array to numpy without a copy.
 template <typename T>
 pybind11::array_t<T> ToArray(std::vector<T>&& values, std::vector<pybind11::ssize_t> shape) {

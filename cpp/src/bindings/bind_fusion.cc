@@ -35,11 +35,8 @@ OwnedDepthView MakeDepthView(const Eigen::Matrix3d& intrinsics, const Pose& cam_
 py::tuple RunFuse(const OwnedDepthView& reference, const Array<float>& normal,
                   const std::vector<std::optional<OwnedDepthView>>& sources, int block_side,
                   const Array<uint32_t>& allowed, const FusionOptions& options) {
-  CheckDimensions(normal, 3, "normal");
-  if (normal.shape(0) != 3 || normal.shape(1) != reference.depth.shape(0) ||
-      normal.shape(2) != reference.depth.shape(1)) {
-    throw py::value_error("normal must have 3 planes of the size of the reference's depth");
-  }
+  CheckPlanes(normal, reference.depth.shape(0), reference.depth.shape(1), "normal",
+              "the reference's depth");
   CheckDimensions(allowed, 2, "allowed");
   const SourceBlocks blocks{block_side, int(allowed.shape(1)), int(allowed.shape(0)),
                             allowed.data()};

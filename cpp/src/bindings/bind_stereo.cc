@@ -35,10 +35,7 @@ OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& ca
   owned.view.rectangle = {x0, y0, grey.shape(1), grey.shape(0)};
   owned.view.grey = grey.data();
   if (inverse_depth) {
-    CheckDimensions(*inverse_depth, 2, "inverse_depth");
-    if (inverse_depth->shape(0) != grey.shape(0) || inverse_depth->shape(1) != grey.shape(1)) {
-      throw py::value_error("inverse_depth must have the size of grey");
-    }
+    CheckMap(*inverse_depth, grey.shape(0), grey.shape(1), "inverse_depth", "grey");
     owned.view.inverse_depth = inverse_depth->data();
   }
   owned.grey = std::move(grey);
@@ -55,13 +52,9 @@ struct OwnedStartMaps {
 OwnedStartMaps MakeStartMaps(int level, int64_t x0, int64_t y0, Array<float> depth,
                              Array<float> normal, Array<uint32_t> views) {
   CheckDimensions(depth, 2, "depth");
-  CheckDimensions(normal, 3, "normal");
-  CheckDimensions(views, 2, "views");
   const py::ssize_t height = depth.shape(0), width = depth.shape(1);
-  if (normal.shape(0) != 3 || normal.shape(1) != height || normal.shape(2) != width ||
-      views.shape(0) != height || views.shape(1) != width) {
-    throw py::value_error("normal (3 planes) and views must have the size of depth");
-  }
+  CheckPlanes(normal, height, width, "normal", "depth");
+  CheckMap(views, height, width, "views", "depth");
   OwnedStartMaps owned;
   owned.maps = {level, {x0, y0, width, height}, depth.data(), normal.data(), views.data()};
   owned.depth = std::move(depth);
@@ -83,12 +76,8 @@ py::dict RunPatchMatch(const OwnedViewWindow& reference,
     sparse.push_back({points.at(i, 0), points.at(i, 1), points.at(i, 2)});
   }
   CheckDimensions(allowed, 2, "allowed");
-  for (const Array<float>* depth : {&min_depth, &max_depth}) {
-    CheckDimensions(*depth, 2, "the range of depth");
-    if (depth->shape(0) != allowed.shape(0) || depth->shape(1) != allowed.shape(1)) {
-      throw py::value_error("min_depth and max_depth must have the size of allowed");
-    }
-  }
+  CheckMap(min_depth, allowed.shape(0), allowed.shape(1), "min_depth", "allowed");
+  CheckMap(max_depth, allowed.shape(0), allowed.shape(1), "max_depth", "allowed");
   const ViewBlocks blocks{block_side,     int(allowed.shape(1)), int(allowed.shape(0)),
                           allowed.data(), min_depth.data(),      max_depth.data()};
   std::vector<ViewWindow> views;
@@ -126,20 +115,11 @@ py::tuple RunCompletePlanes(int level, int64_t x0, int64_t y0, const Eigen::Matr
   }
   CheckDimensions(grey, 2, "grey");
   const py::ssize_t height = grey.shape(0), width = grey.shape(1);
-  const auto check = [&](const auto& map, const char* name) {
-    CheckDimensions(map, 2, name);
-    if (map.shape(0) != height || map.shape(1) != width) {
-      throw py::value_error(std::string(name) + " must have the size of grey");
-    }
-  };
-  check(depth, "depth");
-  check(views, "views");
-  check(texture, "texture");
-  check(num_consistent, "num_consistent");
-  CheckDimensions(normal, 3, "normal");
-  if (normal.shape(0) != 3 || normal.shape(1) != height || normal.shape(2) != width) {
-    throw py::value_error("normal must have 3 planes of the size of grey");
-  }
+  CheckMap(depth, height, width, "depth", "grey");
+  CheckMap(views, height, width, "views", "grey");
+  CheckMap(texture, height, width, "texture", "grey");
+  CheckMap(num_consistent, height, width, "num_consistent", "grey");
+  CheckPlanes(normal, height, width, "normal", "grey");
   const CompletionMaps maps{level,
                             {x0, y0, width, height},
                             intrinsics,
@@ -162,11 +142,8 @@ py::tuple RunCompletePlanes(int level, int64_t x0, int64_t y0, const Eigen::Matr
 PlaneMap MakePlaneMap(const Array<float>& depth, const Array<float>& normal,
                       const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0) {
   CheckDimensions(depth, 2, "depth");
-  CheckDimensions(normal, 3, "normal");
   const py::ssize_t height = depth.shape(0), width = depth.shape(1);
-  if (normal.shape(0) != 3 || normal.shape(1) != height || normal.shape(2) != width) {
-    throw py::value_error("normal must have 3 planes of the size of depth");
-  }
+  CheckPlanes(normal, height, width, "normal", "depth");
   return {{x0, y0, width, height}, intrinsics, depth.data(), normal.data()};
 }
 

@@ -54,7 +54,7 @@ struct Level {
   uint64_t seed = 0;             // of the run, the image and the pass
   int offers = 8;                // planes of neighbours that are tried, of 8
   float largest_step = 2;        // pixels of motion in the sources, of the first sweep
-  bool everywhere = false;       // nothing is known yet: all sources, and depths at random
+  bool everywhere = false;       // nothing is known yet: depths at random too
 
   const Block& BlockAt(int x, int y) const {  // of a pixel of the window
     return blocks[int64_t((y0 + y) / block_side) * block_columns + (x0 + x) / block_side];

@@ -11,6 +11,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 
+#include "option_bounds.h"
 #include "patch_match/level.h"
 #include "patch_match/random.h"
 
@@ -306,10 +307,7 @@ class Completer {
 void PlanarCompletionOptions::Validate() const {
   const auto require = [](bool satisfied, const std::string& field, double value,
                           const std::string& bound) {
-    if (satisfied) return;
-    throw std::invalid_argument("PlanarCompletionOptions::" + field + " = " +
-                                std::to_string(value) + ". Violated constraint: " + field + " " +
-                                bound);
+    RequireOption(satisfied, "PlanarCompletionOptions", field, value, field + " " + bound);
   };
   require(grey_step >= 0 && grey_step <= 255, "grey_step", grey_step, "in [0, 255]");
   require(edge_texture >= 0, "edge_texture", edge_texture, ">= 0");

@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 #include <string>
 
 #include <omp.h>
 #include <Eigen/Geometry>
 
+#include "option_bounds.h"
 #include "synthetic/noise.h"
 
 namespace sirpy {
@@ -55,9 +55,7 @@ double Gaussian(uint64_t hash) {
 void RenderOptions::Validate() const {
   const auto require = [](bool good, const std::string& field, double value,
                           const std::string& bound) {
-    if (good) return;
-    throw std::invalid_argument("RenderOptions::" + field + " = " + std::to_string(value) +
-                                ". Violated constraint: " + bound);
+    RequireOption(good, "RenderOptions", field, value, bound);
   };
   require(samples >= 1 && samples <= 16, "samples", samples, "1 <= samples <= 16");
   require(noise >= 0, "noise", noise, "noise >= 0");

@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <stdexcept>
 #include <string>
 #include <utility>
 
+#include "option_bounds.h"
 #include "synthetic/mesh_builder.h"
 #include "synthetic/noise.h"
 
@@ -274,9 +274,7 @@ class SceneBuilder {
 void SceneOptions::Validate() const {
   const auto require = [](bool good, const std::string& field, double value,
                           const std::string& bound) {
-    if (good) return;
-    throw std::invalid_argument("SceneOptions::" + field + " = " + std::to_string(value) +
-                                ". Violated constraint: " + bound);
+    RequireOption(good, "SceneOptions", field, value, bound);
   };
   require(half_extent > 0 && half_extent <= 5000, "half_extent", half_extent,
           "0 < half_extent <= 5000");
