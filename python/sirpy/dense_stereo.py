@@ -161,7 +161,7 @@ class _Estimator:
     def _estimate(
         self, unit: Unit, of_pass: StereoPass, before: PassMaps | None
     ) -> tuple[Rectangle, dict[str, npt.NDArray[Any]]]:
-        """The window of a unit, and what the pass finds in it."""
+        """The window of a unit, and what the pass finds in it; with sources also the grey levels there."""
         native, level = unit.native, of_pass.level
         window = estimated_window(unit, of_pass, self._views.halo, self._options)
         field = self._views.fields[native.name]
@@ -176,8 +176,9 @@ class _Estimator:
         )
         depths = before if of_pass.kind == "geometric" else None
         start = before.start(native.name, window, level) if before else None
+        grey = read_grey(self._workspace, native, window, level)
         found = _core.patch_match(
-            reference=self._view(native, window, level),
+            reference=self._view(native, window, level, grey),
             sources=[
                 self._source(source, windows.get(index), level, depths)
                 for index, source in enumerate(field.sources)
@@ -190,7 +191,7 @@ class _Estimator:
             start=start,
             options=self._core_options(of_pass, native),
         )
-        return window, found
+        return window, {**found, "grey": grey}
 
     def _prepare(self, unit: Unit, of_pass: StereoPass, before: PassMaps | None) -> None:
         """A pass that another starts from. Nothing of it is held when the next unit begins."""
@@ -220,7 +221,7 @@ class _Estimator:
             x0=window.x0,
             y0=window.y0,
             intrinsics=camera.intrinsics,
-            grey=read_grey(self._workspace, native, window, level),
+            grey=found["grey"],
             depth=found["depth"],
             normal=found["normal"],
             views=found["views"],
@@ -261,6 +262,7 @@ class _Estimator:
         native: NativeImage,
         rectangle: Rectangle,
         level: int,
+        grey: npt.NDArray[np.uint8],
         inverse_depth: npt.NDArray[np.float32] | None = None,
     ) -> _core.ViewWindow:
         camera = self._scene.cameras[native.name]
@@ -270,7 +272,7 @@ class _Estimator:
             level=level,
             x0=rectangle.x0,
             y0=rectangle.y0,
-            grey=read_grey(self._workspace, native, rectangle, level),
+            grey=grey,
             inverse_depth=inverse_depth,
         )
 
@@ -291,7 +293,9 @@ class _Estimator:
         if depths is not None:
             inverse = depths.read_coarser(native, rectangle, source.level)
             np.divide(1, inverse, out=inverse, where=inverse > 0)
-        return self._view(native, rectangle, level + source.level, inverse)
+        level += source.level
+        grey = read_grey(self._workspace, native, rectangle, level)
+        return self._view(native, rectangle, level, grey, inverse)
 
     def _core_options(self, of_pass: StereoPass, native: NativeImage) -> _core.PatchMatchOptions:
         core = _core.PatchMatchOptions()
