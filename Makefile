@@ -14,7 +14,7 @@ MEMORY ?= 8GB
 OUTPUT ?= demo/$(if $(IMAGES),$(shell basename "$(IMAGES)"),scene)
 
 SOURCES := $(shell find cpp python -name '*.cc' -o -name '*.h' -o -name 'CMakeLists.txt' \
-             -o -name '*.py' -o -name '*.pyi' -o -name '*.css') CMakeLists.txt pyproject.toml
+             -o -name '*.py' -o -name '*.pyi' -o -name '*.css' -o -name '*.toml') CMakeLists.txt pyproject.toml
 CPP_FILES = $(shell find cpp tests/cpp benchmarks -name '*.cc' -o -name '*.h')
 
 .PHONY: demo test lint clean

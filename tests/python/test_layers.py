@@ -12,6 +12,7 @@ PACKAGE = Path(sirpy.__file__).parent
 LAYERS = """
     engine_options errors files memory npy rectangle resources
     native_images workspace progress
+    weights
     _core
     photographs exif ply pictures
     flight truth synthetic
@@ -28,7 +29,7 @@ LAYERS = """
     fusion
     overview cloud_picture explaining html_report
     pipeline demo plan_table
-    cli __main__
+    weights_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
