@@ -13,11 +13,13 @@ import numpy as np
 from metered import Cost, run_sirpy
 from numpy.typing import NDArray
 from reconstruction import check_new, grid_words
-from sirpy.dense_stereo import StereoOptions, estimated_window, passes
+from sirpy.dense_stereo import estimated_window
 from sirpy.fusion import POINT
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import read_native_scene
+from sirpy.patch_match import passes
+from sirpy.stereo_backend import StereoOptions
 from sirpy.stereo_passes import units
 from sirpy.view_selection import read_views
 from sirpy.windows import read_map_window

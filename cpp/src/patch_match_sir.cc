@@ -48,6 +48,7 @@ KernelOptions MakeKernelOptions(const PatchMatchOptions& options) {
   kernel.consistency = float(options.consistency);
   kernel.prior_variance = float(options.prior_variance);
   kernel.top_views = options.top_views;
+  kernel.refine = options.iterations > 0;
   return kernel;
 }
 
@@ -199,7 +200,8 @@ std::vector<float> Prior(const Level& level, const PlaneSource& source) {
   return prior;
 }
 
-// Refines the planes; of the result all but what follows from them alone.
+// Refines the planes, unless they are only judged; of the result all but what follows from them
+// alone.
 PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneArrays* arrays) {
   Planes planes = arrays->View();
   const Kernels& kernels = BestKernels();
@@ -317,7 +319,7 @@ void Check(const ViewWindow& reference, const std::vector<ViewWindow>& sources,
 }  // namespace
 
 void PatchMatchOptions::Validate() const {
-  Require(iterations >= 1, "iterations", iterations, ">= 1");
+  Require(iterations >= 0, "iterations", iterations, ">= 0");
   Require(offers >= 1 && offers <= 8, "offers", offers, "in [1, 8]");
   Require(largest_step > 0.1, "largest_step", largest_step, "> 0.1");
   Require(top_views >= 1 && top_views <= kMaxSources, "top_views", top_views, "in [1, 32]");

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sirpy.clustering import clusters
     from sirpy.cut_tasks import PixelOptions
     from sirpy.cutting import cut
-    from sirpy.dense_stereo import StereoOptions, stereo
+    from sirpy.dense_stereo import stereo
     from sirpy.errors import SirpyError
     from sirpy.explaining import explain
     from sirpy.exporting import export
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from sirpy.recapturing import recapture
     from sirpy.rectangle import Grid, Rectangle
     from sirpy.sparse_model import read_model, sparse
+    from sirpy.stereo_backend import StereoOptions
     from sirpy.view_selection import views
     from sirpy.windows import read_window
     from sirpy.workspace import Workspace
@@ -48,7 +49,7 @@ _HOME = {
     "Rectangle": "rectangle",
     "Region": "layout",
     "SirpyError": "errors",
-    "StereoOptions": "dense_stereo",
+    "StereoOptions": "stereo_backend",
     "UndistortOptions": "lens",
     "Workspace": "workspace",
     "clusters": "clustering",

@@ -347,10 +347,10 @@ def stereo(
     quiet: Quiet = False,
 ) -> None:
     """Depth and normal maps of all sub-images that have none yet; or a picture of them."""
-    from sirpy.dense_stereo import StereoOptions
     from sirpy.dense_stereo import stereo as run
     from sirpy.explaining import explain as draw
     from sirpy.progress import make_progress
+    from sirpy.stereo_backend import StereoOptions
     from sirpy.workspace import Workspace
 
     folder = Workspace(workspace)

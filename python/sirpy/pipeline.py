@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sirpy.cutting import cut
-from sirpy.dense_stereo import StereoOptions, stereo
+from sirpy.dense_stereo import stereo
 from sirpy.files import write_json
 from sirpy.fusion import FusionOptions, fuse
 from sirpy.html_report import report
@@ -25,6 +25,7 @@ from sirpy.progress import LoggedProgress, Progress
 from sirpy.rectangle import Grid
 from sirpy.resources import Meter
 from sirpy.sparse_model import predicted_sparse_peak, sparse
+from sirpy.stereo_backend import StereoOptions
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources, views
 from sirpy.workspace import Workspace, check_writable

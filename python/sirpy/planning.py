@@ -12,16 +12,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from sirpy import _core
 from sirpy.area import AreaFilter
+from sirpy.dense_stereo import stereo_passes
 from sirpy.errors import BudgetError, InputError
 from sirpy.layout import Layout, Region
 from sirpy.memory import IMAGE_CACHE_BYTES, gigabytes
 from sirpy.model_arrays import read_arrays
-from sirpy.native_images import NativeImage
+from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeScene, native_scene
 from sirpy.photographs import open_photograph
 from sirpy.rectangle import Grid
+from sirpy.stereo_backend import StereoBackend, StereoOptions
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources
 from sirpy.view_windows import HALO, ViewSelection
@@ -36,9 +37,9 @@ _SLACK = 1.1
 # Bands of rows of the photograph, of the undistorted image and of the files that are open: bytes for each pixel
 # of width, with a lens that bends lines by some per cent. The height does not matter.
 _CUT_BYTES_PER_COLUMN = 3000
-# What stereo hands to its core, for each pixel of the window (grey 1; of the pass before depth 4, normal 12, sources
-# 4) and of each source window (grey 1, inverse depth 4); bands of native pixels on their way to the coarsest level.
-_STEREO_GIVEN, _SHRINKING_BYTES = (21, 5), 50_000_000
+_SHRINKING_BYTES = (
+    50_000_000  # of stereo: bands of native pixels on their way to the coarsest level
+)
 # Fusion, for each pixel of the core and of each source window: depths and their inverse 8, normal 12, mean depth and
 # number of views 9; then, when the inverse depths of the sources are gone, a point of 45.
 _FUSE_BYTES, _FUSE_BYTES_AT_END = (29, 8), (74, 4)
@@ -55,9 +56,8 @@ _NOTABLE_BYTES = 200_000_000  # of what has to be held of a photograph
 # bytes each, and the maps. For workspaces that are made for other engines.
 _ENGINE_BYTES_PER_PIXEL = 200
 
-# CPU microseconds: per native pixel, of stereo also per source; views per photograph and per sub-image.
+# CPU microseconds: per native pixel; views per photograph and per sub-image.
 _CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.025, 0.7, 0.05
-_STEREO_TIME, _STEREO_TIME_OF_A_SOURCE = 3.5, 1.3
 _VIEWS_TIME = 60_000.0, 1_500.0
 # Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps (depth 4, normal 12, reason 4,
 # confidence 4) and those of the passes, while stereo runs (20 a pass, 27 in all); points per pixel, 27 bytes each in
@@ -115,6 +115,7 @@ def plan(
     images: Path | str | None = None,
     num_sources: int = 8,
     halo: int = HALO,
+    stereo: StereoOptions = StereoOptions(),
 ) -> Plan:
     """The coarsest grid whose stages stay within `memory`, or the prediction for a given grid.
 
@@ -126,6 +127,7 @@ def plan(
         images: folder of the photographs, to look at what their headers say; some formats have to
             be held while they are read.
         num_sources, halo: as in `views`.
+        stereo: as in `stereo`: each backend has its own needs.
 
     Raises:
         BudgetError: nothing fits; the message says the least memory that would do.
@@ -146,13 +148,14 @@ def plan(
     held, notes = _held_bytes(Path(images), names) if images else ({}, ())
     covered = {name: native.covered for name, native in uncut.items()}
     selection = ViewSelection(scene, covered, num_sources, halo)
+    passes = stereo_passes(selection.coarsest, stereo, scratch=None)
 
     def predict(candidate: Grid, some: list[str], most: int = _MOST_SUB_IMAGES) -> Plan:
         layout = Layout(candidate, overlap, region)
         # Smaller sub-images lie closer to what they see: an area may be seen by none of some.
         natives = _cut_images(scene, layout, seeing, some)
         natives = natives or _cut_images(scene, layout, seeing, names)
-        return _predict(selection, candidate, natives, held, notes, most)
+        return _predict(selection, passes, candidate, natives, held, notes, most)
 
     candidates, peaks = [grid] if grid else _candidates(scene, region, names), list[int]()
     if grid is None and memory is not None:
@@ -293,6 +296,7 @@ def _held_bytes(images: Path, names: list[str]) -> tuple[dict[str, int], tuple[s
 
 def _predict(
     selection: ViewSelection,
+    passes: list[StereoBackend],
     grid: Grid,
     natives: dict[str, NativeImage],
     held: dict[str, int],
@@ -318,7 +322,8 @@ def _predict(
     pixels = sum(one.area for one in stored)
     share = len(stored) / len(found)  # of what was not looked at
     stereo_time = share * sum(
-        views.window.area * (_STEREO_TIME + _STEREO_TIME_OF_A_SOURCE * count)
+        views.window.area * (one.cpu_us[0] + one.cpu_us[1] * count)
+        for one in passes
         for _, _, views in found
         for count in [min(len(views.sources), selection.num_sources)]
     )
@@ -328,13 +333,8 @@ def _predict(
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
     fuse = max(_fuse_bytes(area, sources) for area, sources, _ in found)
-    stereo = max(
-        max(_stereo_bytes(*selection.pixels(native.name, sub)) for native, sub in chosen),
-        max(_stereo_bytes(*selection.pixels(native.name, None)) for native in looked_at)
-        + _SHRINKING_BYTES,
-    )
-    in_core, of_source, _ = _core.patch_match_bytes_per_pixel()
-    bytes_per_pixel = in_core + _STEREO_GIVEN[0], of_source + _STEREO_GIVEN[1]
+    stereo = max(_stereo_bytes(one, selection, chosen, looked_at) for one in passes)
+    bytes_per_pixel = max(map(_stereo_bytes_per_pixel, passes))
     cached = min(IMAGE_CACHE_BYTES, pixels)
     cores = os.cpu_count() or 1
     count, unit = len(stored), "sub-image"
@@ -379,12 +379,29 @@ def _predict(
     )
 
 
-def _stereo_bytes(reference_pixels: int, source_pixels: int) -> int:
-    """Of a geometric pass, which holds most, over so many pixels of its window and of its sources' windows."""
-    reference, source, at_end = _core.patch_match_bytes_per_pixel()
-    given = _STEREO_GIVEN[0] * reference_pixels + _STEREO_GIVEN[1] * source_pixels
-    return given + max(
-        reference * reference_pixels + source * source_pixels, at_end * reference_pixels
+def _stereo_bytes(
+    of_pass: StereoBackend,
+    selection: ViewSelection,
+    sub_images: list[tuple[NativeImage, SubImage]],
+    natives: list[NativeImage],
+) -> int:
+    """Of the largest unit of a pass; between the coarsest level and the native one there is nothing larger."""
+    if of_pass.level == selection.coarsest:
+        whole = (selection.pixels(native.name, None) for native in natives)
+        return max(of_pass.memory(*pixels) for pixels in whole) + _SHRINKING_BYTES
+    if of_pass.level > 0:
+        return 0
+    parts = (selection.pixels(native.name, sub, of_pass.halo) for native, sub in sub_images)
+    return max(of_pass.memory(*pixels) for pixels in parts)
+
+
+def _stereo_bytes_per_pixel(of_pass: StereoBackend) -> tuple[int, int]:
+    """Of the reference window and of the source windows, where there are several sources."""
+    many = 1_000_000
+    base = of_pass.memory(many, 8 * many)
+    return (
+        (of_pass.memory(2 * many, 8 * many) - base) // many,
+        (of_pass.memory(many, 9 * many) - base) // many,
     )
 
 

@@ -83,6 +83,25 @@ class Rectangle:
             and other.y1 <= self.y1
         )
 
+    def aligned(self, step: int) -> Rectangle:
+        """The smallest rectangle around this one that begins and ends on multiples of `step` pixels."""
+        return Rectangle.from_corners(
+            self.x0 // step * step,
+            self.y0 // step * step,
+            -(-self.x1 // step) * step,
+            -(-self.y1 // step) * step,
+        )
+
+    def halves(self, step: int) -> list[Rectangle]:
+        """Two parts of about the same size, across the longer side, the border on a multiple of `step`."""
+        if self.width >= self.height:
+            x = (self.x0 + self.x1) // 2 // step * step
+            corners = (self.x0, self.y0, x, self.y1), (x, self.y0, self.x1, self.y1)
+        else:
+            y = (self.y0 + self.y1) // 2 // step * step
+            corners = (self.x0, self.y0, self.x1, y), (self.x0, y, self.x1, self.y1)
+        return [Rectangle.from_corners(*one) for one in corners]
+
     def slices_in(self, outer: Rectangle) -> tuple[slice, slice]:
         """(rows, columns) of this rectangle in an array that holds the pixels of `outer`."""
         if not outer.contains(self):

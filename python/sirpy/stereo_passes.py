@@ -1,4 +1,4 @@
-"""The passes of stereo: coarse to native, and the units and maps of each.
+"""The units and maps of the passes of stereo, coarse to native.
 
 Level l has pixels of 2^l native ones, counted from the corner of the native image; rectangles here are in pixels of
 their level. The coarsest level is worked on by whole photographs, the finer ones by sub-images. Every pass writes
@@ -19,40 +19,12 @@ from sirpy import _core
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.npy import open_npy, write_npy
 from sirpy.rectangle import Rectangle
+from sirpy.stereo_backend import DepthMap, Plane, StereoBackend
 from sirpy.windows import read_window
-from sirpy.workspace import Pass, Workspace
+from sirpy.workspace import Workspace
 
-_PLANES = {"depth": slice(0, 1), "normal": slice(1, 4), "views": slice(4, 5)}
+_CHANNELS: dict[Plane, int] = {"depth": 1, "normal": 3, "views": 1, "spread": 1}
 _BAND_PIXELS = 8_000_000  # native ones, read at once to be shrunk
-
-
-@dataclass(frozen=True)
-class StereoPass:
-    """One pass over all photographs at one level."""
-
-    level: int
-    kind: Pass
-    iterations: int  # sweeps
-    offers: int = 8  # planes of neighbours that a pixel tries
-    largest_step: float = 2.0  # pixels of motion in the sources, of the first refinement
-    complete: bool = False  # weak texture takes the planes around it; of whole photographs only
-
-    @property
-    def name(self) -> str:
-        return f"level{self.level}.{self.kind}"
-
-    @property
-    def title(self) -> str:
-        return f"stereo, 1/{1 << self.level}, {self.kind}" if self.level else f"stereo, {self.kind}"
-
-    @property
-    def is_last(self) -> bool:
-        return self.level == 0 and self.kind == "geometric"
-
-    @property
-    def margin(self) -> int:
-        """Pixels of the level around a pixel that its result depends on."""
-        return int(_core.patch_match_margin(self.iterations))
 
 
 @dataclass(frozen=True)
@@ -97,64 +69,105 @@ def units(natives: tuple[NativeImage, ...], level: int, coarsest: int) -> Iterat
                 yield Unit(native, sub, kept)
 
 
-def read_grey(
-    workspace: Workspace, native: NativeImage, rectangle: Rectangle, level: int
+def read_pixels(
+    workspace: Workspace,
+    native: NativeImage,
+    rectangle: Rectangle,
+    level: int,
+    pixels: Literal["grey", "color"],
 ) -> npt.NDArray[np.uint8]:
-    """The grey levels of a rectangle of a level, (height, width): means of blocks of native pixels."""
+    """A rectangle of a level, (height, width) or (height, width, 3): means of blocks of native pixels.
+
+    Beyond what is cut of the photograph the nearest pixels go on.
+    """
+    inside = rectangle.intersection(at_level(native.covered, level))
+    found = _read_inside(workspace, native, inside, level, pixels)
+    if inside == rectangle:
+        return found
+    width = [
+        (inside.y0 - rectangle.y0, rectangle.y1 - inside.y1),
+        (inside.x0 - rectangle.x0, rectangle.x1 - inside.x1),
+    ]
+    return np.pad(found, [*width, (0, 0)][: found.ndim], mode="edge")
+
+
+def _read_inside(
+    workspace: Workspace,
+    native: NativeImage,
+    rectangle: Rectangle,
+    level: int,
+    pixels: Literal["grey", "color"],
+) -> npt.NDArray[np.uint8]:
     if level == 0:
-        return read_window(workspace, native.name, rectangle)
-    grey = np.empty((rectangle.height, rectangle.width), np.uint8)
+        return read_window(workspace, native.name, rectangle, pixels)
+    channels = 1 if pixels == "grey" else 3
+    found = np.empty((rectangle.height, rectangle.width, channels), np.uint8)
     rows = max(1, _BAND_PIXELS >> 2 * level) // rectangle.width + 1
     for y in range(0, rectangle.height, rows):
         band = Rectangle(
             rectangle.x0, rectangle.y0 + y, rectangle.width, min(rows, rectangle.height - y)
         )
-        pixels = read_window(workspace, native.name, native_pixels(band, level, native.rectangle))
-        grey[y : y + band.height] = _core.shrunk(pixels, 1 << level)
-    return grey
+        window = native_pixels(band, level, native.rectangle)
+        read = read_window(workspace, native.name, window, pixels)
+        for channel, plane in enumerate(read.reshape(*read.shape[:2], channels).transpose(2, 0, 1)):
+            shrunk = _core.shrunk(np.ascontiguousarray(plane), 1 << level)
+            found[y : y + band.height, :, channel] = shrunk
+    return found[..., 0] if pixels == "grey" else found
 
 
-def nothing_found(window: Rectangle) -> dict[str, npt.NDArray[Any]]:
+def nothing_found(window: Rectangle) -> DepthMap:
     """What is found in a photograph without any source."""
     shape = window.height, window.width
-    kinds = {"depth": np.float32, "views": np.uint32, "cost": np.float32, "texture": np.float32}
-    found: dict[str, npt.NDArray[Any]] = {
-        name: np.zeros(shape, kind) for name, kind in kinds.items()
-    }
-    found["normal"] = np.zeros((3, *shape), np.float32)
-    found["num_seeing"] = found["num_consistent"] = np.zeros(shape, np.uint8)
-    return found
+    numbers, counts = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+    return DepthMap(
+        depth=numbers,
+        spread=numbers,
+        normal=np.zeros((3, *shape), np.float32),
+        views=np.zeros(shape, np.uint32),
+        cost=numbers,
+        texture=numbers,
+        num_seeing=counts,
+        num_consistent=counts,
+    )
 
 
-def write_planes(path: Path, found: dict[str, npt.NDArray[Any]], kept: tuple[slice, slice]) -> None:
+def write_planes(
+    path: Path, found: DepthMap, planes: tuple[Plane, ...], kept: tuple[slice, slice]
+) -> None:
     """Writes what the next pass starts from of the rows and columns `kept`, whole or not at all."""
-    bits = found["views"].view(np.float32)
-    parts = found["depth"][None], found["normal"], bits[None]
-    write_npy(path, np.concatenate([part[(slice(None), *kept)] for part in parts]))
+    parts = []
+    for name in planes:
+        plane = getattr(found, name).view(np.float32)  # also the bits of the sources
+        parts.append((plane if plane.ndim == 3 else plane[None])[(slice(None), *kept)])
+    write_npy(path, np.concatenate(parts))
 
 
 class PassMaps:
     """The maps that a pass has written, read in any rectangle of its level."""
 
-    def __init__(self, workspace: Workspace, of_pass: StereoPass, coarsest: int) -> None:
+    def __init__(self, workspace: Workspace, of_pass: StereoBackend, coarsest: int) -> None:
         self.level = of_pass.level
+        self._place: dict[Plane, slice] = {}
+        self._channels = 0
+        for name in of_pass.planes:
+            end = self._channels + _CHANNELS[name]
+            self._place[name] = slice(self._channels, end)
+            self._channels = end
         self._workspace, self._pass = workspace, of_pass
         self._units: dict[str, list[Unit]] = {one.name: [] for one in workspace.natives}
         for unit in units(workspace.natives, of_pass.level, coarsest):
             self._units[unit.native.name].append(unit)
         self._extent = {one.name: at_level(one.covered, self.level) for one in workspace.natives}
 
-    def read(
-        self, native: str, rectangle: Rectangle, kind: Literal["depth", "normal", "views"]
-    ) -> npt.NDArray[Any]:
-        """Depth (height, width), normals (3, height, width) or sources as words of bits, uint32.
+    def read(self, native: str, rectangle: Rectangle, kind: Plane) -> npt.NDArray[Any]:
+        """A plane, (height, width); normals (3, height, width); sources as words of bits, uint32.
 
         0 where nothing was estimated.
 
         Raises:
             InputError: a file is missing or damaged.
         """
-        planes = _PLANES[kind]
+        planes = self._place[kind]
         count = planes.stop - planes.start
         window = np.zeros((count, rectangle.height, rectangle.width), np.float32)
         for unit in self._units[native]:
@@ -205,5 +218,5 @@ class PassMaps:
 
     def _open(self, unit: Unit) -> npt.NDArray[np.float32]:
         path = self._workspace.pass_map(unit.name, self._pass.name)
-        shape = 5, unit.kept.height, unit.kept.width
+        shape = self._channels, unit.kept.height, unit.kept.width
         return open_npy(path, np.float32, shape, "the stereo")

@@ -99,16 +99,16 @@ class ViewSelection:
                 )
         return views
 
-    def pixels(self, name: str, sub_image: SubImage | None) -> tuple[int, int]:
+    def pixels(self, name: str, sub_image: SubImage | None, least_halo: int = 0) -> tuple[int, int]:
         """Pixels that stereo estimates at once, with the halo, and those of all windows of their sources.
 
         Of a sub-image at the native level, or of all that is cut of a native image at the coarsest
         level; each pixel is one of the level at which it is read.
         """
         field, window = self.field(name), self._covered[name]
-        level = self.coarsest
+        level, halo = self.coarsest, max(self._halo, least_halo)
         if sub_image is not None:
-            window, level = sub_image.stored.padded(self._halo).intersection(window), 0
+            window, level = sub_image.stored.padded(halo).intersection(window), 0
         windows = source_windows(self.scene, field, window, level=level, covered=self._covered)
         sources = [
             found.area >> 2 * (level + field.sources[index].level)
@@ -131,14 +131,7 @@ def aligned(window: Rectangle, image: Rectangle, step: int) -> Rectangle:
     """The smallest window around `window` that starts and ends on multiples of `step` pixels, cut to
     the image, whose end may be the window's; it may be empty."""
     inside = window.intersection(image)
-    if not inside.area:
-        return inside
-    return Rectangle.from_corners(
-        inside.x0 // step * step,
-        inside.y0 // step * step,
-        -(-inside.x1 // step) * step,
-        -(-inside.y1 // step) * step,
-    ).intersection(image)
+    return inside.aligned(step).intersection(image) if inside.area else inside
 
 
 def source_windows(

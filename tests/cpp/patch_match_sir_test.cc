@@ -398,13 +398,13 @@ TEST(PatchMatchSir, ASourceThatIsNotGivenIsOneThatSeesNothing) {
 
 TEST(PatchMatchOptions, ErrorNamesFieldValueAndBound) {
   PatchMatchOptions options;
-  options.iterations = 0;
+  options.iterations = -1;
   try {
     options.Validate();
     FAIL();
   } catch (const std::invalid_argument& error) {
     EXPECT_STREQ(error.what(),
-                 "PatchMatchOptions::iterations = 0.000000. Violated constraint: iterations >= 1");
+                 "PatchMatchOptions::iterations = -1.000000. Violated constraint: iterations >= 0");
   }
 }
 

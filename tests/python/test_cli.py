@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from sirpy import cli, clustering, view_selection
 from sirpy.cli import app
-from sirpy.dense_stereo import StereoOptions
 from sirpy.errors import InputError
 from sirpy.fusion import FusionOptions
+from sirpy.stereo_backend import StereoOptions
 from sirpy.workspace import Workspace
 from typer.testing import CliRunner
 

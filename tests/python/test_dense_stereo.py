@@ -12,16 +12,17 @@ import numpy as np
 import pycolmap
 import pytest
 from numpy.typing import NDArray
-from sirpy import dense_stereo
+from sirpy import patch_match
 from sirpy.cut_tasks import PixelOptions
 from sirpy.cutting import cut
-from sirpy.dense_stereo import StereoOptions, passes, stereo
+from sirpy.dense_stereo import stereo
 from sirpy.fusion import fuse
 from sirpy.layout import Region
 from sirpy.native_scene import read_native_scene
+from sirpy.patch_match import PatchMatch, passes
 from sirpy.ply import read_vertices
 from sirpy.rectangle import Grid, Rectangle
-from sirpy.stereo_passes import StereoPass
+from sirpy.stereo_backend import StereoOptions
 from sirpy.synthetic import read_truth, render_scene
 from sirpy.view_selection import read_views, views
 from sirpy.windows import read_map
@@ -47,11 +48,11 @@ def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def short_passes() -> Iterator[None]:
     """One sweep in every pass."""
 
-    def shortened(coarsest: int, options: StereoOptions) -> list[StereoPass]:
+    def shortened(coarsest: int, options: StereoOptions) -> list[PatchMatch]:
         return [replace(one, iterations=1) for one in passes(coarsest, options)]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dense_stereo, "passes", shortened)
+        patch.setattr(patch_match, "passes", shortened)
         yield
 
 
@@ -126,7 +127,7 @@ def test_with_the_full_halo_a_grid_changes_nothing(
 def test_with_the_default_passes_a_grid_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dense_stereo, "passes", passes)
+    monkeypatch.setattr(patch_match, "passes", passes)
     options, halo = StereoOptions(), 160
     of_sub_images = [one for one in passes(2, options) if one.level < 2]
     assert max(one.margin + options.margin * one.is_last for one in of_sub_images) <= halo

@@ -18,14 +18,15 @@ LAYERS = """
     flight truth synthetic
     model_files model_arrays self_calibration structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
-    colmap_lists view_fields view_windows view_selection area layout planning sub_image_sets
-    cut_tasks cutting windows
+    colmap_lists view_fields view_windows view_selection windows
+    filtering stereo_backend stereo_passes patch_match judging dense_stereo
+    area layout planning sub_image_sets
+    cut_tasks cutting
     clustering
     engine_views
     cmp_mvs mvsnet pmvs colmap_workspace
     exporting
     undistorter_options sir_undistorter colmap_launcher
-    stereo_passes filtering dense_stereo
     fusion
     overview cloud_picture explaining html_report
     pipeline demo plan_table

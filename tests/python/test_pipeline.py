@@ -15,13 +15,14 @@ import pytest
 from sirpy.area import Area
 from sirpy.colmap_launcher import installed_colmap
 from sirpy.cutting import cut as cut_photographs
-from sirpy.dense_stereo import StereoOptions, stereo
+from sirpy.dense_stereo import stereo
 from sirpy.filtering import Reason
 from sirpy.layout import Region
 from sirpy.model_arrays import read_arrays
 from sirpy.pipeline import reconstruct
 from sirpy.ply import read_vertices
 from sirpy.rectangle import Grid, Rectangle
+from sirpy.stereo_backend import StereoOptions
 from sirpy.synthetic import evaluate
 from sirpy.view_selection import views
 from sirpy.windows import read_map

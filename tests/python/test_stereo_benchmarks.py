@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from sirpy.dense_stereo import StereoOptions, passes
 from sirpy.model_arrays import PosedImage, SparseModel
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeCamera
+from sirpy.patch_match import passes
 from sirpy.rectangle import Grid, Rectangle
+from sirpy.stereo_backend import StereoOptions
 from sirpy.windows import write_map
 from stereo_decimation import area_mean, scaled_model
 from stereo_grids import most_connected, overhead

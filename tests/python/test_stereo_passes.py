@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from sirpy import _core
 from sirpy.errors import InputError
 from sirpy.native_images import NativeImage, SubImage
+from sirpy.patch_match import PatchMatch
 from sirpy.rectangle import Grid, Rectangle
+from sirpy.stereo_backend import DepthMap
 from sirpy.stereo_passes import (
     PassMaps,
-    StereoPass,
     at_level,
     native_pixels,
     units,
@@ -35,20 +35,20 @@ def cut(folder: Path, region: Rectangle = Rectangle(0, 0, *SIZE), grid: Grid = G
     return workspace
 
 
-def planes_of(rectangle: Rectangle) -> dict[str, NDArray[Any]]:
+def planes_of(rectangle: Rectangle) -> DepthMap:
     """Of every pixel of a level its own values, whatever the rectangle."""
     y, x = (axis.astype(np.float32) for axis in np.indices((rectangle.height, rectangle.width)))
     depth = 1 + x + rectangle.x0 + 100 * (y + rectangle.y0)
     views = np.uint32(0xFFFFFFFF) - depth.astype(np.int32).astype(np.uint32)  # many are no number
-    return {"depth": depth, "normal": np.stack([depth, -depth, depth / 2]), "views": views}
+    return DepthMap(depth, normal=np.stack([depth, -depth, depth / 2]), views=views)
 
 
-def pass_maps(workspace: Workspace, of_pass: StereoPass) -> PassMaps:
+def pass_maps(workspace: Workspace, of_pass: PatchMatch) -> PassMaps:
     """Of a pass that was written, each unit with more around it than it keeps."""
     for unit in units(workspace.natives, of_pass.level, COARSEST):
         window = unit.kept.padded(2)
         path = workspace.pass_map(unit.name, of_pass.name)
-        write_planes(path, planes_of(window), unit.kept.slices_in(window))
+        write_planes(path, planes_of(window), of_pass.planes, unit.kept.slices_in(window))
     return PassMaps(workspace, of_pass, COARSEST)
 
 
@@ -60,10 +60,10 @@ def start_maps(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_a_rectangle_is_read_across_the_borders_of_units(tmp_path: Path, level: int) -> None:
-    maps = pass_maps(cut(tmp_path), StereoPass(level, "photometric", 1))
+    maps = pass_maps(cut(tmp_path), PatchMatch(level, "photometric", 1))
     whole = at_level(Rectangle(0, 0, *SIZE), level)
     for rectangle in (whole, Rectangle(1, 1, whole.width - 2, whole.height - 2)):
-        expected = planes_of(rectangle)
+        expected = vars(planes_of(rectangle))
         for kind in ("depth", "normal", "views"):
             found = maps.read("a.png", rectangle, kind)  # type: ignore[arg-type]
             assert found.dtype == expected[kind].dtype
@@ -71,11 +71,11 @@ def test_a_rectangle_is_read_across_the_borders_of_units(tmp_path: Path, level: 
 
 
 def test_what_is_not_cut_reads_as_0(tmp_path: Path) -> None:
-    maps = pass_maps(cut(tmp_path, Rectangle(6, 3, 9, 8)), StereoPass(1, "photometric", 1))
+    maps = pass_maps(cut(tmp_path, Rectangle(6, 3, 9, 8)), PatchMatch(1, "photometric", 1))
     window = Rectangle(0, 0, 11, 6)
     kept = np.zeros((6, 11), bool)
     kept[2:6, 3:8] = True  # whose first native pixel is inside
-    expected = planes_of(window)
+    expected = vars(planes_of(window))
     for kind in ("depth", "normal", "views"):
         found = maps.read("a.png", window, kind)  # type: ignore[arg-type]
         np.testing.assert_array_equal(found, expected[kind] * kept)
@@ -83,9 +83,9 @@ def test_what_is_not_cut_reads_as_0(tmp_path: Path) -> None:
 
 def test_coarser_depths_are_those_next_to_the_centres(tmp_path: Path) -> None:
     workspace = cut(tmp_path)
-    maps = pass_maps(workspace, StereoPass(0, "photometric", 1))
+    maps = pass_maps(workspace, PatchMatch(0, "photometric", 1))
     native = workspace.natives[0]
-    depth = planes_of(native.rectangle)["depth"]
+    depth = planes_of(native.rectangle).depth
     # Pixel i of level 1 has its centre at native pixels 2 i and 2 i + 1; of level 2, 4 i + 1 and 4 i + 2. The
     # last column of both is less than half inside.
     at_1 = depth[np.ix_([3, 5], [17, 19, 20])]
@@ -101,7 +101,7 @@ def test_coarser_depths_are_those_next_to_the_centres(tmp_path: Path) -> None:
 def test_a_pass_starts_from_the_same_level_or_with_the_four_nearest_of_the_coarser(
     tmp_path: Path, start_maps: None
 ) -> None:
-    maps = pass_maps(cut(tmp_path), StereoPass(2, "geometric", 1))
+    maps = pass_maps(cut(tmp_path), PatchMatch(2, "geometric", 1))
     for level, rectangle, read in [
         (2, Rectangle(1, 1, 3, 2), Rectangle(1, 1, 3, 2)),
         (1, Rectangle(5, 3, 3, 1), Rectangle(1, 0, 4, 3)),  # pixels 5 to 7 lie in 2 and 3
@@ -109,13 +109,14 @@ def test_a_pass_starts_from_the_same_level_or_with_the_four_nearest_of_the_coars
     ]:
         start: Any = maps.start("a.png", rectangle, level)
         assert (start["level"], start["x0"], start["y0"]) == (2, read.x0, read.y0)
-        for kind, expected in planes_of(read).items():
+        for kind in ("depth", "normal", "views"):
+            expected = getattr(planes_of(read), kind)
             np.testing.assert_array_equal(start[kind], expected)
 
 
 def test_what_is_narrower_than_a_pixel_has_no_unit_and_no_start(tmp_path: Path) -> None:
     workspace = cut(tmp_path, Rectangle(1, 0, 3, 12), Grid(1, 2))
-    coarse, finer, native = (StereoPass(level, "photometric", 1) for level in (COARSEST, 1, 0))
+    coarse, finer, native = (PatchMatch(level, "photometric", 1) for level in (COARSEST, 1, 0))
     assert not list(units(workspace.natives, COARSEST, COARSEST))
     maps = pass_maps(workspace, coarse)
     assert maps.start("a.png", Rectangle(1, 0, 1, 6), 1) is None
@@ -138,7 +139,7 @@ def test_what_is_narrower_than_a_pixel_has_no_unit_and_no_start(tmp_path: Path) 
 def test_damaged_files_are_said_and_can_be_made_again(
     tmp_path: Path, damage: Callable[[bytes], bytes]
 ) -> None:
-    workspace, of_pass = cut(tmp_path), StereoPass(1, "photometric", 1)
+    workspace, of_pass = cut(tmp_path), PatchMatch(1, "photometric", 1)
     maps = pass_maps(workspace, of_pass)
     path = workspace.pass_map("01.png", of_pass.name)
     sound = path.read_bytes()
@@ -148,13 +149,13 @@ def test_damaged_files_are_said_and_can_be_made_again(
         maps.read("a.png", Rectangle(0, 0, 11, 6), "depth")
     np.testing.assert_array_equal(  # what the damage does not touch
         maps.read("a.png", Rectangle(0, 0, 5, 6), "depth"),
-        planes_of(Rectangle(0, 0, 5, 6))["depth"],
+        planes_of(Rectangle(0, 0, 5, 6)).depth,
     )
     path.unlink()
     with pytest.raises(InputError, match=r"there is no .*01\.png\.npy: run the stereo again$"):
         maps.read("a.png", Rectangle(0, 0, 11, 6), "depth")
     again = pass_maps(workspace, of_pass).read("a.png", Rectangle(0, 0, 11, 6), "depth")
-    np.testing.assert_array_equal(again, planes_of(Rectangle(0, 0, 11, 6))["depth"])
+    np.testing.assert_array_equal(again, planes_of(Rectangle(0, 0, 11, 6)).depth)
 
 
 def test_rectangles_that_tile_an_image_tile_its_levels() -> None:

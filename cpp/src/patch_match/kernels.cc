@@ -287,7 +287,7 @@ SIRPY_INLINE Cost RefineDepth(const Level& level, const KernelOptions& options, 
   return cost;
 }
 
-// What is known of the final planes of a row, after a last refinement.
+// What is known of the final planes of a row, after a last refinement where one is asked for.
 void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
                Assessment* assessment, int y) {
   for (int colour = 0; colour < 2; ++colour) {
@@ -295,7 +295,10 @@ void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
       const Group group = LoadGroup(level, options, first, y);
       const Words used = StoredViews(level, *planes, group);
       Plane plane = LoadPlanes(level, *planes, group);
-      const Cost cost = RefineDepth(level, options, group, EqualWeights(used), &plane);
+      const Cost cost = options.refine
+                            ? RefineDepth(level, options, group, EqualWeights(used), &plane)
+                            : PlaneCost(level, options, group, LoadPrior(level, options, group),
+                                        EqualWeights(used), plane, Splat(kUnbounded));
       Store(level, group, plane, cost.value, used, planes);
       const Ints possible = IsPossible(level, group, plane);
       Floats seeing{}, consistent{};

@@ -86,6 +86,7 @@ struct KernelOptions {
   float consistency = 1;          // pixels: agreement of two depth maps
   float prior_variance = 4;       // grey levels squared: below this texture the prior counts
   int top_views = 4;              // sources that a pixel's cost is the mean of, at most
+  bool refine = true;             // the depth, at the end
 };
 
 // One set per instruction set. Each works on one row: `colour` is (x + y) & 1 in native

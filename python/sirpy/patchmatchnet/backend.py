@@ -1,0 +1,108 @@
+"""PatchmatchNet as a stereo backend: one pass at native resolution."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from contextlib import suppress
+
+import torch
+
+from sirpy.errors import InputError
+from sirpy.patchmatchnet.bands import Bands
+from sirpy.patchmatchnet.features import STEP
+from sirpy.patchmatchnet.network import PatchmatchNet
+from sirpy.patchmatchnet.stage import SETTINGS
+from sirpy.patchmatchnet.windows import FeatureStore, estimate
+from sirpy.stereo_backend import (
+    DepthMap,
+    DepthRange,
+    OutOfDeviceMemory,
+    Plane,
+    Prior,
+    Setup,
+    StereoBackend,
+    View,
+)
+from sirpy.weights import weights_file
+
+# Of the loaded network with torch; and per pixel: see `memory`.
+_TORCH_BYTES = 220_000_000
+_HALO = 64
+
+
+class PatchmatchNetBackend(StereoBackend):
+    """The published network, its weights read at the first use."""
+
+    step: int = STEP
+    halo: int = _HALO
+    planes: tuple[Plane, ...] = ("depth", "spread")
+    cpu_us: tuple[float, float] = (4.0, 2.0)
+    # What lies farther away has no say, but for what offsets the network has learned.
+    margin: int = sum(one.reach << one.stage for one in SETTINGS) + 16
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._device = _device(setup.options.device)
+        self._bands = Bands(self._device, setup.options.threads)
+        self._weights = weights_file("patchmatchnet")
+        self._loaded: tuple[PatchmatchNet, FeatureStore] | None = None
+
+    @property
+    def device(self) -> str:
+        return str(self._device)
+
+    @property
+    def reads_ahead(self) -> bool:
+        return self._device.type != "cpu"
+
+    @property
+    def title(self) -> str:
+        return f"PatchmatchNet, {self.device}"
+
+    def memory(self, reference_pixels: int, source_pixels: int) -> int:
+        return _TORCH_BYTES + 100 * reference_pixels + 18 * source_pixels
+
+    def prepare(self, reference: View, sources: Sequence[View]) -> None:
+        _, features = self._network()
+        with suppress(torch.OutOfMemoryError):  # the estimate will say so
+            features.find([reference, *sources])
+
+    def estimate(
+        self, reference: View, sources: Sequence[View], depth_range: DepthRange, prior: Prior
+    ) -> DepthMap:
+        net, features = self._network()
+        seed = zlib.crc32(f"{self._setup.options.seed} {reference.name}".encode())
+        try:
+            return estimate(net, features, reference, sources, depth_range, seed, self._bands)
+        except torch.OutOfMemoryError:
+            torch.cuda.empty_cache()
+            raise OutOfDeviceMemory from None
+
+    def _network(self) -> tuple[PatchmatchNet, FeatureStore]:
+        if self._loaded is None:
+            assert self._setup.scratch is not None
+            net = PatchmatchNet.from_checkpoint(self._weights, self._device)
+            folder = self._setup.scratch / "patchmatchnet"
+            half = self._device.type != "cpu"
+            self._loaded = net, FeatureStore(net, folder, self._bands, half)
+        return self._loaded
+
+
+def patchmatchnet(setup: Setup) -> StereoBackend:
+    """PatchmatchNet (Wang et al., CVPR 2021) with its published weights.
+
+    Raises:
+        InputError: the weights are not there, or the device is not.
+    """
+    return PatchmatchNetBackend(setup)
+
+
+def _device(name: str) -> torch.device:
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise InputError(
+            "--device cuda: torch sees no GPU here; install a build of torch for it, or leave the "
+            "option away"
+        )
+    return torch.device("cuda" if available and name != "cpu" else "cpu")

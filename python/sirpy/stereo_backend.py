@@ -1,0 +1,349 @@
+"""What estimates depths: the protocol of a stereo backend, what it is given, and what it gives.
+
+A backend is one pass over all sub-images, or photographs, at one level of the pyramid. PatchMatch is a list of them
+from coarse to native; a network is mostly one, at native resolution. Packages offer theirs as entry points of the
+group `sirpy.stereo`: functions that take a `Setup` and return a backend, or a list of them (docs/backends.md).
+
+Level l has pixels of 2^l native ones, counted from the corner of the native image; rectangles are in pixels of their
+level.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from sirpy import _core
+from sirpy.errors import InputError
+from sirpy.filtering import FilterOptions, check_bounds
+from sirpy.native_scene import NativeCamera
+from sirpy.rectangle import Rectangle
+from sirpy.view_fields import ViewField
+from sirpy.workspace import Pass
+
+FloatMap = npt.NDArray[np.float32]
+Plane = Literal["depth", "normal", "views", "spread"]
+GROUP = "sirpy.stereo"
+DEFAULT_BACKEND = "patch_match"
+DEVICES = ("auto", "cpu", "cuda")
+
+
+class OutOfDeviceMemory(Exception):
+    """A backend's device cannot hold the window: a smaller one may do."""
+
+
+@dataclass(frozen=True)
+class StereoOptions(FilterOptions):
+    """Options of `stereo`; those of PatchMatch carry the names and defaults of the C++ core."""
+
+    backend: str = DEFAULT_BACKEND  # a name of the entry points `sirpy.stereo`
+    device: str = "auto"  # of networks: auto is a GPU where torch sees one
+    top_views: int = 4  # sources that a pixel is matched against, at most
+    native_iterations: int = 3  # sweeps at native resolution, photometric pass
+    geometric_iterations: int = 1  # sweeps of the geometric pass there
+    seed: int = 0
+    threads: int = 0  # 0: one for each core
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        bounds = {
+            "top_views": (1, 32),
+            "native_iterations": (1, 100),
+            "geometric_iterations": (1, 100),
+            "threads": (0, 1024),
+        }
+        check_bounds(self, bounds)
+        if self.device not in DEVICES:
+            raise InputError(f"--device {self.device} is not possible: choose {', '.join(DEVICES)}")
+
+
+@dataclass(frozen=True)
+class View:
+    """A window of an undistorted photograph at a level.
+
+    Attributes:
+        camera: of the whole photograph, native pixels, pixel centres at .5.
+        window: pixels of the level; it may reach beyond the photograph, where the nearest pixels go on.
+        extent: what there is of the photograph, pixels of the level.
+        read: the pixels of any rectangle of the level, "grey" (height, width) or "color"
+            (height, width, 3), 8 bit.
+        index: of a source, in the field's table; its bit in `ViewField.allowed`.
+        depth: of a source in a geometric pass, (height, width); 0 where there is none.
+    """
+
+    camera: NativeCamera
+    window: Rectangle
+    level: int
+    extent: Rectangle
+    read: Callable[[Rectangle, Literal["grey", "color"]], npt.NDArray[np.uint8]]
+    index: int = -1
+    depth: FloatMap | None = None
+
+    @property
+    def name(self) -> str:
+        return self.camera.name
+
+    @cached_property
+    def grey(self) -> npt.NDArray[np.uint8]:
+        """(height, width)."""
+        return self.read(self.window, "grey")
+
+    @cached_property
+    def image(self) -> npt.NDArray[np.uint8]:
+        """(height, width, 3), RGB."""
+        return self.read(self.window, "color")
+
+    @property
+    def intrinsics(self) -> npt.NDArray[np.float64]:
+        """(3, 3) of the window as an image of its own, pixel centres at whole numbers."""
+        return level_intrinsics(self.camera, self.level, self.window)
+
+
+@dataclass(frozen=True)
+class DepthRange:
+    """Depths (z in the reference camera) that a window can have; they differ from place to place.
+
+    Attributes:
+        field: of the native image; its blocks say also which sources see a place.
+        window: native pixels.
+    """
+
+    field: ViewField
+    window: Rectangle
+
+    @property
+    def minimum(self) -> float:
+        return float(self.field.min_depth[self.field.blocks(self.window)].min())
+
+    @property
+    def maximum(self) -> float:
+        return float(self.field.max_depth[self.field.blocks(self.window)].max())
+
+    def inverse(
+        self, x: npt.NDArray[np.floating], y: npt.NDArray[np.floating]
+    ) -> tuple[FloatMap, FloatMap]:
+        """Inverse depths of the nearest and the farthest, (len(y), len(x)), at native pixel coordinates.
+
+        Without steps: linear between the centres of the blocks. A range of a block holds those of the
+        blocks around it, so what lies between holds both.
+        """
+        near, far = (
+            _between_blocks(1 / depths.astype(np.float64), self.field.side, x, y)
+            for depths in (self.field.min_depth, self.field.max_depth)
+        )
+        return near, far
+
+    def allowed(
+        self, x: npt.NDArray[np.floating], y: npt.NDArray[np.floating], index: int
+    ) -> npt.NDArray[np.bool_]:
+        """Where a source may be matched, (len(y), len(x)), at native pixel coordinates."""
+        side = self.field.side
+        rows, columns = (np.clip(at, 0, None).astype(int) // side for at in (y, x))
+        height, width = self.field.allowed.shape
+        rows, columns = np.minimum(rows, height - 1), np.minimum(columns, width - 1)
+        bits: npt.NDArray[np.uint32] = self.field.allowed[np.ix_(rows, columns)]
+        return (bits >> np.uint32(index) & 1).astype(bool)
+
+
+class Maps(Protocol):
+    """What the pass before found, in any rectangle of the reference."""
+
+    level: int
+
+    def read(self, native: str, rectangle: Rectangle, kind: Plane) -> npt.NDArray[Any]:
+        """(height, width), of the normals (3, height, width); 0 where nothing was estimated."""
+
+    def start(self, native: str, rectangle: Rectangle, level: int) -> _core.StartMaps | None:
+        """What PatchMatch starts from in a rectangle of a level."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of the reference before.
+
+    Attributes:
+        points: sparse points (n, 3): x and y in native pixels, depth.
+        maps: of the pass before; None in the first.
+    """
+
+    points: npt.NDArray[np.float64]
+    maps: Maps | None
+
+
+@dataclass
+class DepthMap:
+    """What a backend finds in the window of the reference, (height, width); None: it does not say.
+
+    Depth is z in the reference camera, 0 where there is none. What is kept of it needs the last seven;
+    where the last backend of a list is not geometric, they are found by `sirpy.judging`.
+    """
+
+    depth: FloatMap
+    spread: FloatMap | None = None  # standard deviation of the inverse depth
+    normal: FloatMap | None = None  # (3, height, width), camera frame, towards the camera
+    views: npt.NDArray[np.uint32] | None = None  # bit j: source j was used
+    cost: FloatMap | None = None  # 1 - NCC over the sources used
+    texture: FloatMap | None = None  # variance of the grey levels in the patch
+    num_seeing: npt.NDArray[np.uint8] | None = None
+    num_consistent: npt.NDArray[np.uint8] | None = None
+
+
+class StereoBackend(Protocol):
+    """Estimates depths of a window of a photograph. Whatever has a default here can be a plain attribute."""
+
+    @property
+    def level(self) -> int:
+        """Of the pyramid; the coarsest is worked on by whole photographs, others by sub-images."""
+        return 0
+
+    @property
+    def kind(self) -> Pass:
+        """Geometric: the sources come with the depths that the pass before has found in them."""
+        return "photometric"
+
+    @property
+    def margin(self) -> int:
+        """Pixels of the level around a pixel that can have a say in its depth: more are not estimated
+        around a sub-image."""
+        return 0
+
+    @property
+    def halo(self) -> int:
+        """Pixels that are estimated around a sub-image at least; otherwise it is the halo of the views."""
+        return 0
+
+    @property
+    def step(self) -> int:
+        """Windows begin and end on multiples of so many pixels, also beyond the photograph."""
+        return 1
+
+    @property
+    def planes(self) -> tuple[Plane, ...]:
+        """Of the depth map that are written for the next pass."""
+        return ("depth",)
+
+    @property
+    def device(self) -> str:
+        """For the report."""
+        return "cpu"
+
+    @property
+    def reads_ahead(self) -> bool:
+        """Whether `prepare` is called for the next window while one is estimated, by another thread."""
+        return False
+
+    @property
+    def cpu_us(self) -> tuple[float, float]:
+        """CPU microseconds for a pixel, and for each of its sources: for the plan."""
+        return 3.5, 1.3
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"level{self.level}.{self.kind}"
+
+    @property
+    def title(self) -> str:
+        return f"stereo, 1/{1 << self.level}, {self.kind}" if self.level else f"stereo, {self.kind}"
+
+    @property
+    def is_last(self) -> bool:
+        return self.level == 0 and self.kind == "geometric"
+
+    @abstractmethod
+    def memory(self, reference_pixels: int, source_pixels: int) -> int:
+        """Bytes at the peak of `estimate`, on its device, with what it is given: for pixels of the
+        reference window, and of all source windows together."""
+
+    @abstractmethod
+    def estimate(
+        self, reference: View, sources: Sequence[View], depth_range: DepthRange, prior: Prior
+    ) -> DepthMap:
+        """The depths of the reference's window.
+
+        Args:
+            sources: one at least, the best first; where they are allowed is said by the range.
+
+        Raises:
+            OutOfDeviceMemory: it is called again with two halves of the window.
+        """
+
+    def prepare(self, reference: View, sources: Sequence[View]) -> None:
+        """Reads what `estimate` will need."""
+        return
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a function of the group `sirpy.stereo` is given.
+
+    Attributes:
+        coarsest: the level at which whole photographs are worked on.
+        options: of the run.
+        scratch: folder for files that are kept while stereo runs; None where only a plan is made.
+    """
+
+    coarsest: int
+    options: StereoOptions
+    scratch: Path | None
+
+
+def backend_names() -> list[str]:
+    """Of all installed packages."""
+    return sorted({entry.name for entry in entry_points(group=GROUP)})
+
+
+def make_backends(setup: Setup) -> list[StereoBackend]:
+    """The passes of the backend that the options name.
+
+    Raises:
+        InputError: there is none of this name, or what it needs is not installed.
+    """
+    name = setup.options.backend
+    found = [entry for entry in entry_points(group=GROUP) if entry.name == name]
+    if not found:
+        raise InputError(
+            f"there is no stereo backend {name}: choose {', '.join(backend_names())}, or install the "
+            "package that has it"
+        )
+    try:
+        made = found[0].load()(setup)
+    except ModuleNotFoundError as error:
+        what = "pip install 'sirpy[learned]'" if error.name == "torch" else f"install {error.name}"
+        raise InputError(f"the stereo backend {name} needs {error.name}: {what}") from error
+    return list(made) if isinstance(made, Sequence) else [made]
+
+
+def level_intrinsics(
+    camera: NativeCamera, level: int, window: Rectangle
+) -> npt.NDArray[np.float64]:
+    """(3, 3) of a window of a level, pixel centres at whole numbers."""
+    matrix = camera.intrinsics.copy()
+    matrix[:2] /= 1 << level
+    matrix[:2, 2] -= [window.x0 + 0.5, window.y0 + 0.5]
+    return matrix
+
+
+def _between_blocks(
+    values: npt.NDArray[np.float64],
+    side: int,
+    x: npt.NDArray[np.floating],
+    y: npt.NDArray[np.floating],
+) -> FloatMap:
+    """Bilinear between the centres of blocks, (len(y), len(x)); beyond the outermost their values."""
+    for axis, at in ((0, y), (1, x)):
+        count = values.shape[axis]
+        place = np.clip(at / side - 0.5, 0, count - 1)
+        first = np.minimum(place.astype(int), max(count - 2, 0))
+        second = np.minimum(first + 1, count - 1)
+        share = (place - first).reshape((-1, 1) if axis == 0 else (1, -1))
+        values = values.take(first, axis) * (1 - share) + values.take(second, axis) * share
+    return values.astype(np.float32)
