@@ -76,10 +76,16 @@ Masks = Annotated[
     Path | None, typer.Option(help="Folder of masks NAME.png, black where not to be used.")
 ]
 NumSources = Annotated[int, typer.Option(help="Photographs that each is matched against, at most.")]
+Stereo = Annotated[
+    str, typer.Option(help="patch_match, patchmatchnet, or the backend of a package.")
+]
+Device = Annotated[
+    str, typer.Option(help="Of networks: auto (a GPU where there is one), cpu, cuda.")
+]
 Threads = Annotated[int, typer.Option(help="0: one for each core.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only results and errors.")]
 
-_MEMORY = "8GB"
+_MEMORY, _STEREO = "8GB", "patch_match"
 
 
 @app.command()
@@ -99,6 +105,8 @@ def reconstruct(
     model_crs: ModelCrs = None,
     masks: Masks = None,
     num_sources: NumSources = 8,
+    stereo: Stereo = _STEREO,
+    device: Device = "auto",
     threads: Threads = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -107,6 +115,7 @@ def reconstruct(
     from sirpy.memory import parse_memory
     from sirpy.pipeline import reconstruct as run
     from sirpy.progress import make_progress
+    from sirpy.stereo_backend import StereoOptions
 
     result = run(
         images,
@@ -117,6 +126,7 @@ def reconstruct(
         region=read_region(roi, roi_list, area, area_crs, model_crs),
         masks=masks,
         num_sources=num_sources,
+        stereo_options=StereoOptions(backend=stereo, device=device, threads=threads),
         threads=threads,
         progress=make_progress(quiet),
     )
@@ -170,6 +180,8 @@ def plan(
     area_crs: AreaCrs = None,
     model_crs: ModelCrs = None,
     num_sources: NumSources = 8,
+    stereo: Stereo = _STEREO,
+    device: Device = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
     """The grid for a memory budget; what will be written, and what each stage will need."""
@@ -179,6 +191,7 @@ def plan(
     from sirpy.memory import parse_memory
     from sirpy.plan_table import print_plan
     from sirpy.planning import plan as run
+    from sirpy.stereo_backend import StereoOptions
 
     found = run(
         model,
@@ -188,6 +201,7 @@ def plan(
         region=read_region(roi, roi_list, area, area_crs, model_crs),
         images=images,
         num_sources=num_sources,
+        stereo=StereoOptions(backend=stereo, device=device),
     )
     if as_json:
         print(json.dumps({**asdict(found), "predicted_peak": found.predicted_peak}))
@@ -334,6 +348,8 @@ def export(
 def stereo(
     context: typer.Context,
     workspace: WorkspaceFolder,
+    stereo: Stereo = _STEREO,
+    device: Device = "auto",
     max_cost: Annotated[float, typer.Option(help="1 - NCC above which there is no depth.")] = 0.8,
     min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
     explain: Annotated[
@@ -355,7 +371,7 @@ def stereo(
 
     folder = Workspace(workspace)
     if explain is not None:
-        if given := _given(context, "max_cost", "min_consistent", "threads"):
+        if given := _given(context, "stereo", "device", "max_cost", "min_consistent", "threads"):
             raise InputError(
                 f"{given[0]} belongs to the estimate, and --explain draws the one that is there: give "
                 "one of the two"
@@ -364,7 +380,13 @@ def stereo(
         return
     if output is not None:
         raise InputError("--output belongs to --explain: the maps are written into the workspace")
-    options = StereoOptions(max_cost=max_cost, min_consistent=min_consistent, threads=threads)
+    options = StereoOptions(
+        backend=stereo,
+        device=device,
+        max_cost=max_cost,
+        min_consistent=min_consistent,
+        threads=threads,
+    )
     run(folder, options=options, progress=make_progress(quiet))
     print(f"maps: {folder.stereo}")
 

@@ -59,6 +59,7 @@ def report(workspace: Workspace) -> Path:
         _coverage(reasons),
         _stages(run.get("stages") or [], run.get("memory")),
         _left_out(_all_left_out(workspace, run)),
+        _notes(run.get("notes") or []),
     ]
     style = resources.files("sirpy").joinpath("report.css").read_text(encoding="utf-8")
     page = (
@@ -330,6 +331,12 @@ def _left_out(left_out: list[dict[str, str]]) -> str:
 
 
 # ---- small words
+
+
+def _notes(notes: list[str]) -> str:
+    """What was said on the way, as far as the sections above do not say it."""
+    items = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
+    return f'<h2>Said on the way</h2><div class="card"><ul>{items}</ul></div>' if items else ""
 
 
 def _address(picture: bytes, kind: str) -> str:

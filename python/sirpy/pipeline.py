@@ -25,7 +25,7 @@ from sirpy.progress import LoggedProgress, Progress
 from sirpy.rectangle import Grid
 from sirpy.resources import Meter
 from sirpy.sparse_model import predicted_sparse_peak, sparse
-from sirpy.stereo_backend import StereoOptions
+from sirpy.stereo_backend import StereoOptions, check_backend
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources, views
 from sirpy.workspace import Workspace, check_writable
@@ -83,6 +83,7 @@ def reconstruct(
     stereo_options = stereo_options or StereoOptions(threads=threads)
     fusion_options = fusion_options or FusionOptions(threads=threads)
     check_num_sources(num_sources)
+    check_backend(stereo_options)
     names = find_photographs(images)
     check_folders(images, output)
     check_masks(masks)
@@ -108,6 +109,7 @@ def reconstruct(
         region=region,
         images=images,
         num_sources=num_sources,
+        stereo=stereo_options,
     )
     log.predicted.update(chosen.predicted_peak)
     progress.note(f"plan: {chosen.grid} sub-images of each photograph")
@@ -132,7 +134,7 @@ def reconstruct(
     with log.stage(workspace, "fuse", count, "sub-image"):
         points = fuse(workspace, options=fusion_options, progress=progress)
     left_out = sorted([*left_out, *workspace.left_out], key=lambda out: out.name)
-    log.write(workspace, chosen, points, left_out)
+    log.write(workspace, chosen, points, left_out, stereo_options.backend, progress.notes)
     report(workspace)
     return Reconstruction(workspace, chosen, points, left_out, log.peak)
 
@@ -169,7 +171,13 @@ class _RunLog:
         return max(known) if known else None
 
     def write(
-        self, workspace: Workspace, chosen: Plan, points: int, left_out: list[LeftOut]
+        self,
+        workspace: Workspace,
+        chosen: Plan,
+        points: int,
+        left_out: list[LeftOut],
+        stereo: str,
+        notes: list[str],
     ) -> None:
         write_json(
             workspace.run,
@@ -177,6 +185,8 @@ class _RunLog:
                 "version": 1,
                 "memory": self.memory,
                 "grid": str(chosen.grid),
+                "stereo": stereo,
+                "notes": notes,
                 "points": points,
                 "stages": [
                     {**stage, "predicted_peak": self.predicted.get(stage["name"])}

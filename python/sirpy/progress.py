@@ -151,6 +151,7 @@ class LoggedProgress(Progress):
     """
 
     def __init__(self, shown: Progress, path: Path) -> None:
+        self.notes: list[str] = []
         self._shown = shown
         self._path = path
         self._unwritten = ""
@@ -164,6 +165,7 @@ class LoggedProgress(Progress):
         self._log(f"{name}: done in {duration(time.monotonic() - begin)}")
 
     def note(self, text: str) -> None:
+        self.notes.append(text)
         self._log(text)
         self._shown.note(text)
 

@@ -27,6 +27,7 @@ from sirpy.filtering import FilterOptions, check_bounds
 from sirpy.native_scene import NativeCamera
 from sirpy.rectangle import Rectangle
 from sirpy.view_fields import ViewField
+from sirpy.view_windows import LEAST_COARSEST
 from sirpy.workspace import Pass
 
 FloatMap = npt.NDArray[np.float32]
@@ -320,6 +321,11 @@ def make_backends(setup: Setup) -> list[StereoBackend]:
         what = "pip install 'sirpy[learned]'" if error.name == "torch" else f"install {error.name}"
         raise InputError(f"the stereo backend {name} needs {error.name}: {what}") from error
     return list(made) if isinstance(made, Sequence) else [made]
+
+
+def check_backend(options: StereoOptions) -> None:
+    """Raises InputError where `make_backends` would, before anything is done."""
+    make_backends(Setup(LEAST_COARSEST, options, None))
 
 
 def level_intrinsics(

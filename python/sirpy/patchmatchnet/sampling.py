@@ -83,7 +83,7 @@ def at_neighbours(maps: Tensor, x: Tensor, y: Tensor, frame: Frame) -> Tensor:
     the whole image here, wherever the map lies in it, so a pixel is given the same in every window.
     """
     x, y = (
-        ((position + corner) * (side / (side - 1)) - 0.5).clamp(0, side - 1) - corner
+        ((position + corner) * (side / max(side - 1, 1)) - 0.5).clamp(0, side - 1) - corner
         for position, corner, side in (
             (x, frame.x0, frame.width),
             (y, frame.y0, frame.height),
@@ -95,7 +95,8 @@ def at_neighbours(maps: Tensor, x: Tensor, y: Tensor, frame: Frame) -> Tensor:
 def _bilinear(maps: Tensor, x: Tensor, y: Tensor, padding: str) -> Tensor:
     """[C, *positions] of maps [C, H, W] at positions x and y of one shape, of 3 axes."""
     _, height, width = maps.shape
-    grid = torch.stack([x * (2 / (width - 1)) - 1, y * (2 / (height - 1)) - 1], dim=-1)
+    # A map may be one pixel wide, where positions with aligned corners would be none.
+    grid = torch.stack([(2 * x + 1) / width - 1, (2 * y + 1) / height - 1], dim=-1)
     flat = grid.reshape(1, -1, x.shape[-1], 2)
-    found = F.grid_sample(maps[None], flat, "bilinear", padding, align_corners=True)
+    found = F.grid_sample(maps[None], flat, "bilinear", padding, align_corners=False)
     return found.reshape(len(maps), *x.shape)

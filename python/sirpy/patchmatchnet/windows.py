@@ -24,7 +24,7 @@ from sirpy.patchmatchnet.stage import INITIAL, SETTINGS, InverseRange, Problem
 from sirpy.rectangle import Rectangle
 from sirpy.stereo_backend import DepthMap, DepthRange, View, level_intrinsics
 
-TILE = 1024  # pixels on a side, whose features are found at once
+TILE = 512  # pixels on a side, whose features are found at once
 
 
 class FeatureStore:
