@@ -79,7 +79,7 @@ def normals(depth: FloatMap, intrinsics: npt.NDArray[np.float64], window: Rectan
     height, width = depth.shape
     found = np.zeros((3, height, width), np.float32)
     reach, rows = 2 * _RADIUS, max(1, _BAND_PIXELS // width)
-    padded = np.pad(depth, reach, mode="edge")
+    padded = np.pad(depth, reach)  # what lies outside is missing
     for y in range(0, height, rows):
         end = min(y + rows, height)
         slopes = _slopes(padded[y : end + 2 * reach].astype(np.float64))

@@ -109,7 +109,12 @@ class PatchmatchNet(nn.Module):
         for matrix, before, after in zip(scaled, images, resized, strict=True):
             matrix[0] *= after.shape[2] / before.shape[2]
             matrix[1] *= after.shape[1] / before.shape[1]
-        features = [self.feature(image[None]) for image in resized]
+        features: dict[int, dict[int, Tensor]] = {}
+
+        def describe(index: int) -> None:
+            features[index] = self.feature(resized[index][None])
+
+        bands.map(describe, list(range(len(resized))))
         _, full_height, full_width = resized[0].shape
 
         found: dict[int, list[Tensor]] = {}
