@@ -27,7 +27,7 @@ from sirpy.stereo_backend import (
 from sirpy.workspace import Pass
 
 _RADIUS = 2  # pixels: planes are fitted to windows of 5 x 5
-_BAND_PIXELS = 1 << 18  # whose normals are found at a time
+_BAND_PIXELS = 1 << 16  # whose normals are found at a time
 
 
 class Judge(StereoBackend):

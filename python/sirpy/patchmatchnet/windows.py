@@ -7,7 +7,9 @@ may be matched, and where the published network samples. So a window changes not
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
@@ -37,20 +39,21 @@ class FeatureStore:
     """
 
     def __init__(self, net: PatchmatchNet, folder: Path, bands: Bands, half: bool) -> None:
-        self._net, self._folder, self._bands = net, folder, bands
+        self._folder, self._bands = folder, bands
         self._device = next(net.parameters()).device
+        self._finding = Lock()
         self._kind = torch.float16 if half else torch.float32
         self._feature = net.feature.to(self._kind)
 
     def find(self, views: Sequence[View]) -> None:
         """Finds and writes what is missing of the windows of photographs."""
-        missing = [
-            (view, tile)
-            for view in views
-            for tile in _tiles(view)
-            if not self._path(view, tile, 1).exists()  # the last that is written
-        ]
-        self._bands.map(lambda one: self._write(*one), missing)
+        with self._finding:  # the next window may be read meanwhile
+            rows = [
+                (view, list(tiles))
+                for view in views
+                for _, tiles in groupby(self._missing(view), key=lambda tile: tile.y0)
+            ]
+            self._bands.map(lambda row: self._find_row(*row), rows)
 
     def read(self, view: View, stage: int) -> Tensor:
         """Features [C, h, w] of the window of a view, whose sides are multiples of `STEP`."""
@@ -66,14 +69,28 @@ class FeatureStore:
             found[(slice(None), *part.slices_in(window))] = torch.from_numpy(pixels).to(found)
         return found
 
-    def _write(self, view: View, tile: Rectangle) -> None:
-        around = tile.padded(REACH).intersection(view.extent.aligned(STEP))
-        image = _tensor(view.read(around, "color"), self._device)
-        image = as_float(image).to(self._kind)[None]
+    def _missing(self, view: View) -> list[Rectangle]:
+        # The last stage that is written.
+        return [tile for tile in _tiles(view) if not self._path(view, tile, 1).exists()]
+
+    def _find_row(self, view: View, tiles: list[Rectangle]) -> None:
+        """Of tiles beside each other: an image file gives its rows for all of them at once."""
+        image = view.extent.aligned(STEP)
+        row = Rectangle.from_corners(tiles[0].x0, tiles[0].y0, tiles[-1].x1, tiles[-1].y1)
+        row = row.padded(REACH).intersection(image)
+        pixels = view.read(row, "color")
+        for tile in tiles:
+            around = tile.padded(REACH).intersection(image)
+            self._write(view, tile, around, pixels[around.slices_in(row)])
+
+    def _write(
+        self, view: View, tile: Rectangle, around: Rectangle, pixels: npt.NDArray[np.uint8]
+    ) -> None:
+        image = as_float(_tensor(pixels, self._device)).to(self._kind)[None]
         for stage, features in self._feature(image).items():
             kept = _reduced(tile, stage).slices_in(_reduced(around, stage))
-            pixels = features[(slice(None), *kept)].half().cpu().numpy()
-            write_npy(self._path(view, tile, stage), pixels)
+            found = features[(slice(None), *kept)].half().cpu().numpy()
+            write_npy(self._path(view, tile, stage), found)
 
     def _path(self, view: View, tile: Rectangle, stage: int) -> Path:
         name = f"{tile.y0}-{tile.x0}.stage{stage}.npy"
