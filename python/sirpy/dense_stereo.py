@@ -189,23 +189,22 @@ class _Estimator:
                 Prior(self._sparse_points(native), before),
             )
         except OutOfDeviceMemory:
-            # Parts overlap by the halo, so what a pixel is given stays what it was.
-            halves = window.halves(of_pass.step)
-            halo = max(self._views.halo, of_pass.halo)
-            around = [
-                half.padded(halo).aligned(of_pass.step).intersection(window) for half in halves
-            ]
-            if max(one.area for one in around) >= window.area:
-                raise BudgetError(
-                    f"{of_pass.device} has too little memory for {window.width}x{window.height} "
-                    "pixels: free some of it, or run on the processor (--device cpu)"
-                ) from None
-            progress.note(
-                f"{of_pass.title}: {unit.name} needs more memory than {of_pass.device} has: "
-                f"{window.width}x{window.height} pixels are estimated in two parts"
+            pass  # what the error still holds on the device is free after this block
+        # Parts overlap by the halo, so what a pixel is given stays what it was.
+        halves = window.halves(of_pass.step)
+        halo = max(self._views.halo, of_pass.halo)
+        around = [half.padded(halo).aligned(of_pass.step).intersection(window) for half in halves]
+        if max(one.area for one in around) >= window.area:
+            raise BudgetError(
+                f"{of_pass.device} has too little memory for {window.width}x{window.height} "
+                "pixels: free some of it, or run on the processor (--device cpu)"
             )
-            parts = [self._estimate(unit, one, of_pass, before, progress) for one in around]
-            return _joined(window, halves, around, parts)
+        progress.note(
+            f"{of_pass.title}: {unit.name} needs more memory than {of_pass.device} has: "
+            f"{window.width}x{window.height} pixels are estimated in two parts"
+        )
+        parts = [self._estimate(unit, one, of_pass, before, progress) for one in around]
+        return _joined(window, halves, around, parts)
 
     def _given(
         self,

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,9 @@ from sirpy.rectangle import Rectangle
 from sirpy.view_fields import ViewField
 from sirpy.view_windows import LEAST_COARSEST
 from sirpy.workspace import Pass
+
+if TYPE_CHECKING:
+    import torch
 
 FloatMap = npt.NDArray[np.float32]
 Plane = Literal["depth", "normal", "views", "spread"]
@@ -326,6 +329,23 @@ def make_backends(setup: Setup) -> list[StereoBackend]:
 def check_backend(options: StereoOptions) -> None:
     """Raises InputError where `make_backends` would, before anything is done."""
     make_backends(Setup(LEAST_COARSEST, options, None))
+
+
+def torch_device(name: str) -> torch.device:
+    """The device of a network, by `StereoOptions.device`.
+
+    Raises:
+        InputError: it is a GPU, and torch sees none.
+    """
+    import torch
+
+    available = torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise InputError(
+            "--device cuda: torch sees no GPU here; install a build of torch for it, or leave the "
+            "option away"
+        )
+    return torch.device("cuda" if available and name != "cpu" else "cpu")
 
 
 def level_intrinsics(

@@ -8,7 +8,6 @@ from contextlib import suppress
 
 import torch
 
-from sirpy.errors import InputError
 from sirpy.patchmatchnet.bands import Bands
 from sirpy.patchmatchnet.features import STEP
 from sirpy.patchmatchnet.network import PatchmatchNet
@@ -23,6 +22,7 @@ from sirpy.stereo_backend import (
     Setup,
     StereoBackend,
     View,
+    torch_device,
 )
 from sirpy.weights import weights_file
 
@@ -43,7 +43,7 @@ class PatchmatchNetBackend(StereoBackend):
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
-        self._device = _device(setup.options.device)
+        self._device = torch_device(setup.options.device)
         self._bands = Bands(self._device, setup.options.threads)
         self._weights = weights_file("patchmatchnet")
         self._loaded: tuple[PatchmatchNet, FeatureStore] | None = None
@@ -96,13 +96,3 @@ def patchmatchnet(setup: Setup) -> StereoBackend:
         InputError: the weights are not there, or the device is not.
     """
     return PatchmatchNetBackend(setup)
-
-
-def _device(name: str) -> torch.device:
-    available = torch.cuda.is_available()
-    if name == "cuda" and not available:
-        raise InputError(
-            "--device cuda: torch sees no GPU here; install a build of torch for it, or leave the "
-            "option away"
-        )
-    return torch.device("cuda" if available and name != "cpu" else "cpu")
