@@ -46,7 +46,7 @@ class PlaneSweep(StereoBackend):
 
     def memory(self, reference_pixels: int, source_pixels: int) -> int:
         """YOURS: measure it at two sizes. Here torch, costs and some maps, images as float32."""
-        return 300_000_000 + (4 * PLANES + 140) * reference_pixels + 16 * source_pixels
+        return 220_000_000 + (4 * PLANES + 180) * reference_pixels + 16 * source_pixels
 
     def estimate(
         self, reference: View, sources: Sequence[View], depth_range: DepthRange, prior: Prior

@@ -73,3 +73,31 @@ def test_cuts_that_do_not_fit_are_refused() -> None:
     for cut in (20, 90, 100):
         with pytest.raises(InputError, match=f"column cut at {cut} is outside"):
             list(Grid.with_cuts((cut,)).tiles(Rectangle(20, 10, 70, 4)))
+
+
+RECTANGLES = st.builds(
+    Rectangle, st.integers(-99, 99), st.integers(-99, 99), st.integers(1, 99), st.integers(1, 99)
+)
+
+
+@given(RECTANGLES, st.integers(1, 40))
+def test_aligned_is_the_smallest_that_begins_and_ends_on_steps(one: Rectangle, step: int) -> None:
+    found = one.aligned(step)
+    assert found.contains(one) and found.aligned(step) == found
+    assert not any(side % step for side in (found.x0, found.y0, found.x1, found.y1))
+    assert one.x0 - found.x0 < step and one.y0 - found.y0 < step
+    assert found.x1 - one.x1 < step and found.y1 - one.y1 < step
+
+
+@given(RECTANGLES, st.integers(1, 40))
+def test_halves_tile_a_rectangle_across_its_longer_side(one: Rectangle, step: int) -> None:
+    whole = one.aligned(step)
+    first, second = whole.halves(step)
+    assert first.aligned(step) == first and second.aligned(step) == second
+    assert first.area + second.area == whole.area and not first.intersection(second).area
+    if whole.width >= whole.height:
+        assert (first.height, second.height) == (whole.height, whole.height)
+        assert 0 <= second.width - first.width <= step
+    else:
+        assert (first.width, second.width) == (whole.width, whole.width)
+        assert 0 <= second.height - first.height <= step
