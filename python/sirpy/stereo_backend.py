@@ -136,12 +136,18 @@ class DepthRange:
     ) -> tuple[FloatMap, FloatMap]:
         """Inverse depths of the nearest and the farthest, (len(y), len(x)), at native pixel coordinates.
 
-        Without steps: linear between the centres of the blocks. A range of a block holds those of the
-        blocks around it, so what lies between holds both.
+        Without steps: linear between the corners of the blocks, where the ranges of those that meet have
+        something in common. A range of a block holds those of the blocks around it, so what is common
+        holds what each of them needs; and it is no more than the range that the source windows hold.
         """
         near, far = (
-            _between_blocks(1 / depths.astype(np.float64), self.field.side, x, y)
-            for depths in (self.field.min_depth, self.field.max_depth)
+            _between_corners(
+                _at_corners(common, 1 / depths.astype(np.float64)), self.field.side, x, y
+            )
+            for common, depths in (
+                (np.minimum, self.field.min_depth),
+                (np.maximum, self.field.max_depth),
+            )
         )
         return near, far
 
@@ -358,18 +364,25 @@ def level_intrinsics(
     return matrix
 
 
-def _between_blocks(
+def _at_corners(common: np.ufunc, blocks: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(rows + 1, columns + 1): what the blocks that meet in a corner have in common."""
+    padded = np.pad(blocks, 1, mode="edge")
+    beside = common(padded[:, :-1], padded[:, 1:])
+    found: npt.NDArray[np.float64] = common(beside[:-1], beside[1:])
+    return found
+
+
+def _between_corners(
     values: npt.NDArray[np.float64],
     side: int,
     x: npt.NDArray[np.floating],
     y: npt.NDArray[np.floating],
 ) -> FloatMap:
-    """Bilinear between the centres of blocks, (len(y), len(x)); beyond the outermost their values."""
+    """Bilinear between the corners of blocks, (len(y), len(x)); beyond the outermost their values."""
     for axis, at in ((0, y), (1, x)):
-        count = values.shape[axis]
-        place = np.clip(at / side - 0.5, 0, count - 1)
-        first = np.minimum(place.astype(int), max(count - 2, 0))
-        second = np.minimum(first + 1, count - 1)
+        last = values.shape[axis] - 1
+        place = np.clip(at / side, 0, last)
+        first = np.minimum(place.astype(int), last - 1)
         share = (place - first).reshape((-1, 1) if axis == 0 else (1, -1))
-        values = values.take(first, axis) * (1 - share) + values.take(second, axis) * share
+        values = values.take(first, axis) * (1 - share) + values.take(first + 1, axis) * share
     return values.astype(np.float32)

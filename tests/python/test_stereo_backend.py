@@ -198,18 +198,20 @@ def test_a_package_gives_one_backend_or_a_list_of_them(
 # What it is given.
 
 
-def test_depths_are_linear_between_the_centres_of_blocks_and_go_on_beyond() -> None:
-    near = np.array([[2.0, 4, 3], [6, 8, 5]])
-    limits = depth_range(near, near / 2)
-    centres_x, centres_y = (SIDE * (np.arange(count) + 0.5) for count in (3, 2))
-    for found, expected in zip(limits.inverse(centres_x, centres_y), (near, near / 2), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-6)
-    x, y = SIDE * np.array([0.5, 0.75, 1.0]), SIDE * np.array([0.5, 1.0])
-    np.testing.assert_allclose(limits.inverse(x, y)[0], [[2, 2.5, 3], [4, 4.5, 5]], rtol=1e-6)
-    corners = limits.inverse(np.array([-50.0, 0, 3 * SIDE + 9]), np.array([-3.0, 2 * SIDE]))[0]
-    np.testing.assert_allclose(corners, [[2, 2, 3], [6, 6, 5]], rtol=1e-6)
+def test_depths_are_linear_between_the_corners_of_blocks_and_go_on_beyond() -> None:
+    # What is common to the nearest inverse depths of blocks is the least, to the farthest the greatest.
+    near, far = np.array([[2.0, 4, 3], [6, 8, 5]]), np.array([[1.0, 1.5, 1], [0.5, 2, 1]])
+    limits = depth_range(near, far)
+    x, y = SIDE * np.arange(4.0), SIDE * np.arange(3.0)
+    found = limits.inverse(x, y)
+    np.testing.assert_allclose(found[0], [[2, 2, 3, 3], [2, 2, 3, 3], [6, 6, 5, 5]], rtol=1e-6)
+    np.testing.assert_allclose(found[1], [[1, 1.5, 1.5, 1], [1, 2, 2, 1], [0.5, 2, 2, 1]])
+    between = limits.inverse(SIDE * np.array([1.25, 1.5]), SIDE * np.array([1.0, 1.5]))[0]
+    np.testing.assert_allclose(between, [[2.25, 2.5], [4.0, 4.0]], rtol=1e-6)
+    beyond = limits.inverse(np.array([-50.0, 3 * SIDE + 9]), np.array([-3.0, 2 * SIDE + 1]))[0]
+    np.testing.assert_allclose(beyond, [[2, 3], [6, 5]], rtol=1e-6)
     single = depth_range(np.array([[2.0]]), np.array([[1.0]]))
-    np.testing.assert_allclose(single.inverse(x, y)[1], np.ones((2, 3)))
+    np.testing.assert_allclose(single.inverse(x, y)[1], np.ones((3, 4)))
 
 
 SHAPES = st.tuples(st.integers(1, 5), st.integers(1, 6))
@@ -217,7 +219,7 @@ FIELDS = SHAPES.flatmap(lambda shape: arrays(np.float64, (2, *shape), elements=s
 
 
 @given(FIELDS, st.data())
-def test_what_lies_between_blocks_holds_the_ranges_of_both(
+def test_depths_hold_what_a_block_needs_and_lie_in_its_range(
     own: NDArray[np.float64], data: st.DataObject
 ) -> None:
     # A range of the field is the union of a block's own and those of the blocks around it.
@@ -226,12 +228,9 @@ def test_what_lies_between_blocks_holds_the_ranges_of_both(
     x = data.draw(st.floats(0, width * SIDE - 0.5))
     y = data.draw(st.floats(0, height * SIDE - 0.5))
     found = [float(one[0, 0]) for one in depth_range(near, far).inverse(np.r_[x], np.r_[y])]
-    rows, columns = (
-        np.clip([int(np.floor(at / SIDE - 0.5)) + one for one in (0, 1)], 0, count - 1)
-        for at, count in ((y, height), (x, width))
-    )
-    around = own[np.ix_([0, 1], rows, columns)]
-    assert found[0] >= around.max() * (1 - 1e-6) and found[1] <= around.min() * (1 + 1e-6)
+    row, column = int(y // SIDE), int(x // SIDE)
+    assert own[:, row, column].max() * (1 - 1e-6) <= found[0] <= near[row, column] * (1 + 1e-6)
+    assert own[:, row, column].min() * (1 + 1e-6) >= found[1] >= far[row, column] * (1 - 1e-6)
 
 
 def test_nearest_and_farthest_of_a_window_are_those_of_the_blocks_it_touches() -> None:
