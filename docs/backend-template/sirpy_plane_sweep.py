@@ -19,6 +19,7 @@ from sirpy.stereo_backend import (
     StereoBackend,
     View,
     torch_device,
+    torch_device_bytes,
 )
 from torch import Tensor
 
@@ -43,6 +44,10 @@ class PlaneSweep(StereoBackend):
     @property
     def device(self) -> str:
         return str(self._device)
+
+    @property
+    def device_bytes(self) -> int | None:
+        return torch_device_bytes(self._device)
 
     def memory(self, reference_pixels: int, source_pixels: int) -> int:
         """YOURS: measure it at two sizes. Here torch, costs and some maps, images as float32."""

@@ -93,6 +93,7 @@ class Plan:
     files: int
     written_bytes: int  # estimate
     stages: tuple[StagePlan, ...]
+    device_load: float = 0.0  # share of a GPU's memory that stereo needs at most
     notes: tuple[str, ...] = ()  # what the user should know about the photographs
 
     @property
@@ -157,18 +158,22 @@ def plan(
         natives = natives or _cut_images(scene, layout, seeing, names)
         return _predict(selection, passes, candidate, natives, held, notes, most)
 
+    def needed(found: Plan) -> int:
+        # A device of its own is to be filled no more than the memory is.
+        return max(found.peak, int(found.device_load * (memory or 0)))
+
     candidates, peaks = [grid] if grid else _candidates(scene, region, names), list[int]()
     if grid is None and memory is not None:
         some = names[:: -(-len(names) // _MOST_IMAGES)]
         first, least = _coarsest(
-            candidates, lambda one: predict(one, some, _MOST_WHILE_SEARCHING).peak, memory
+            candidates, lambda one: needed(predict(one, some, _MOST_WHILE_SEARCHING)), memory
         )
         candidates, peaks = candidates[first:], [least]
     for candidate in candidates:  # the first, unless what was not looked at needs more
         found = predict(candidate, names)
-        if memory is None or found.peak <= memory:
+        if memory is None or needed(found) <= memory:
             return found
-        peaks.append(found.peak)
+        peaks.append(needed(found))
     subject = f"a grid of {grid} sub-images needs" if grid else "the least that would do is"
     least = min(peaks)
     raise BudgetError(
@@ -333,7 +338,14 @@ def _predict(
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
     fuse = max(_fuse_bytes(area, sources) for area, sources, _ in found)
-    stereo = max(_stereo_bytes(one, selection, chosen, looked_at) for one in passes)
+    stereo, device_load = 0, 0.0
+    for one in passes:
+        held_bytes = _stereo_bytes(one, selection, chosen, looked_at)
+        if one.device_bytes is None:
+            stereo = max(stereo, held_bytes)
+        else:  # what does not grow with the window is held here as well
+            stereo = max(stereo, one.memory(0, 0))
+            device_load = max(device_load, _SLACK * held_bytes / one.device_bytes)
     bytes_per_pixel = max(map(_stereo_bytes_per_pixel, passes))
     cached = min(IMAGE_CACHE_BYTES, pixels)
     cores = os.cpu_count() or 1
@@ -375,6 +387,7 @@ def _predict(
             stage("fuse", (count, unit), cached + fuse, _FUSE_TIME * core, cores, _FUSE_BYTES),
             stage("report", (1, "page"), _REPORT_BYTES, _REPORT_TIME * core, 1),
         ),
+        device_load=device_load,
         notes=notes,
     )
 

@@ -246,6 +246,11 @@ class StereoBackend(Protocol):
         return "cpu"
 
     @property
+    def device_bytes(self) -> int | None:
+        """What a device with a memory of its own holds; None: `memory` is of this process."""
+        return None
+
+    @property
     def reads_ahead(self) -> bool:
         """Whether `prepare` is called for the next window while one is estimated, by another thread."""
         return False
@@ -352,6 +357,15 @@ def torch_device(name: str) -> torch.device:
             "option away"
         )
     return torch.device("cuda" if available and name != "cpu" else "cpu")
+
+
+def torch_device_bytes(device: torch.device) -> int | None:
+    """The memory of a GPU; None of the processor."""
+    import torch
+
+    if device.type == "cpu":
+        return None
+    return int(torch.cuda.get_device_properties(device).total_memory)
 
 
 def level_intrinsics(

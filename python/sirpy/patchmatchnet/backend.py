@@ -23,6 +23,7 @@ from sirpy.stereo_backend import (
     StereoBackend,
     View,
     torch_device,
+    torch_device_bytes,
 )
 from sirpy.weights import weights_file
 
@@ -51,6 +52,10 @@ class PatchmatchNetBackend(StereoBackend):
     @property
     def device(self) -> str:
         return str(self._device)
+
+    @property
+    def device_bytes(self) -> int | None:
+        return torch_device_bytes(self._device)
 
     @property
     def reads_ahead(self) -> bool:
