@@ -253,6 +253,20 @@ def coplanar_shares(
     """Share of the pixels around each that lie on its plane, (height, width); normal: 3 planes."""
 
 def instruction_set() -> str: ...
+def group_correlation(
+    reference: NDArray[np.float32],
+    source: NDArray[np.float32],
+    source_from_reference: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    *,
+    first_row: int,
+    behind: tuple[float, float],
+    groups: int,
+) -> NDArray[np.float32]:
+    """Groups x hypotheses x height x width, of PatchmatchNet: mean products of the channels of each
+    group. reference: rows from `first_row` on, height x width x channels; source: the same of any
+    size; source_from_reference: 3 x 4; depth: hypotheses x height x width; behind: the (x, y) of
+    what lies behind the source. A multiple of 16 channels, of 4 in a group. Releases the GIL."""
 
 # ---- fusion (sirpy.fusion)
 

@@ -8,6 +8,7 @@ namespace sirpy {
 void BindSubImage(pybind11::module_& module);
 void BindSparseModel(pybind11::module_& module);
 void BindStereo(pybind11::module_& module);
+void BindPatchmatchnet(pybind11::module_& module);
 void BindFusion(pybind11::module_& module);
 void BindSynthetic(pybind11::module_& module);
 

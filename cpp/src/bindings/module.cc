@@ -26,6 +26,7 @@ PYBIND11_MODULE(_core, module) {
   sirpy::BindSubImage(module);
   sirpy::BindSparseModel(module);
   sirpy::BindStereo(module);
+  sirpy::BindPatchmatchnet(module);
   sirpy::BindFusion(module);
   sirpy::BindSynthetic(module);
 }

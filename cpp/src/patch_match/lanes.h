@@ -2,8 +2,8 @@
 // Written in the compiler's vector extensions, so one source serves every instruction set; no
 // operation mixes lanes and none is contracted, so the results are the same bytes on each of them.
 //
-// Included only by kernels.cc, which is compiled once for each instruction set: everything is
-// inside a namespace of that set, so that the linker can never share code between them.
+// Included only by sources that are compiled once for each instruction set: everything is inside a
+// namespace of that set, so that the linker can never share code between them.
 #pragma once
 
 #include <cstdint>

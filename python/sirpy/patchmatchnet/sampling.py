@@ -19,7 +19,7 @@ class SourceMap:
     """A source at one stage.
 
     Attributes:
-        features: [C, h', w'].
+        features: [C, h', w']; on the CPU it is best when the channels of a pixel lie side by side.
         source_from_reference: [3, 4] float32: homogeneous pixels of the source from (x d, y d, d, 1)
             with pixels (x, y) of the reference and the depth d there.
         behind: (x, y) that stands for what lies behind the source, outside of `features`.

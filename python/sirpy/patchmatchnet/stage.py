@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from sirpy._core import group_correlation
 from sirpy.patchmatchnet.bands import Bands
 from sirpy.patchmatchnet.features import CHANNELS
 from sirpy.patchmatchnet.layers import PointwiseNet
@@ -192,8 +195,8 @@ class PatchMatchStage(nn.Module):
             weights = start.new_empty(len(problem.sources), height, width)
 
         def band(rows: slice) -> None:
-            hypotheses[:, rows] = self.propagated(problem, start, rows)
-            depth = hypotheses[:, rows]
+            depth = self.propagated(problem, start, rows).contiguous()
+            hypotheses[:, rows] = depth
             total = depth.new_zeros(self.settings.groups, *depth.shape)
             weight_sum = depth.new_full((), 1e-5)
             for index, source in enumerate(problem.sources):
@@ -219,6 +222,17 @@ class PatchMatchStage(nn.Module):
     ) -> Tensor:
         """[G, D, h, w]: mean products of the channels of each group, for depths [D, h, w]."""
         groups = self.settings.groups
+        if depth.device.type == "cpu":
+            found = group_correlation(
+                _pixels(reference),
+                _pixels(source.features),
+                source.source_from_reference.numpy(),
+                depth.numpy(),
+                first_row=first_row,
+                behind=source.behind,
+                groups=groups,
+            )
+            return torch.from_numpy(found)
         features = warped(source, depth, first_row)
         features.mul_(reference[:, None])
         return features.reshape(groups, -1, *depth.shape).mean(dim=1)
@@ -319,6 +333,11 @@ def _ring(distance: int, like: Tensor) -> Tensor:
     """[8, 2] (x, y): the neighbours of a pixel row by row, so far away."""
     steps = (-distance, 0, distance)
     return like.new_tensor([(x, y) for y in steps for x in steps if x or y])
+
+
+def _pixels(maps: Tensor) -> npt.NDArray[np.float32]:
+    """[h, w, C] of maps [C, h, w] on the CPU; a copy unless their channels are side by side."""
+    return maps.permute(1, 2, 0).contiguous().numpy()
 
 
 def _offsets(convolution: nn.Conv2d, features: Tensor, rows: slice) -> Tensor:

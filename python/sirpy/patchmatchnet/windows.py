@@ -56,18 +56,22 @@ class FeatureStore:
             self._bands.map(lambda row: self._find_row(*row), rows)
 
     def read(self, view: View, stage: int) -> Tensor:
-        """Features [C, h, w] of the window of a view, whose sides are multiples of `STEP`."""
+        """Features [C, h, w] of the window of a view, whose sides are multiples of `STEP`.
+
+        On the CPU the channels of a pixel lie side by side.
+        """
         window = _reduced(view.window, stage)
         channels = CHANNELS[stage]
-        found = torch.empty(channels, window.height, window.width, device=self._device)
+        found = torch.empty(window.height, window.width, channels, device=self._device)
         for tile in _tiles(view):
             reduced = _reduced(tile, stage)
             part = reduced.intersection(window)
-            shape = channels, reduced.height, reduced.width
+            shape = reduced.height, reduced.width, channels
             stored = open_npy(self._path(view, tile, stage), np.float16, shape, "the stereo")
-            pixels = np.array(stored[(slice(None), *part.slices_in(reduced))])
-            found[(slice(None), *part.slices_in(window))] = torch.from_numpy(pixels).to(found)
-        return found
+            pixels = torch.from_numpy(np.array(stored[part.slices_in(reduced)]))
+            found[part.slices_in(window)] = pixels.to(self._device)
+        maps = found.permute(2, 0, 1)
+        return maps if self._device.type == "cpu" else maps.contiguous()
 
     def _missing(self, view: View) -> list[Rectangle]:
         # The last stage that is written.
@@ -89,7 +93,7 @@ class FeatureStore:
         image = as_float(_tensor(pixels, self._device)).to(self._kind)[None]
         for stage, features in self._feature(image).items():
             kept = _reduced(tile, stage).slices_in(_reduced(around, stage))
-            found = features[(slice(None), *kept)].half().cpu().numpy()
+            found = features.permute(1, 2, 0)[kept].half().cpu().numpy()
             write_npy(self._path(view, tile, stage), found)
 
     def _path(self, view: View, tile: Rectangle, stage: int) -> Path:
