@@ -1,9 +1,9 @@
 """How right depths are, by what the estimator says of them: the coefficients of the confidence and its check.
 
-    python benchmarks/confidence.py WORKSPACE TRUTH [WORKSPACE TRUTH ...] [--sub-images 8]
+    python benchmarks/confidence.py WORKSPACE TRUTH [WORKSPACE TRUTH ...] [--sub-images 8] [--stereo NAME]
 
-Each WORKSPACE has been through `sirpy stereo`; TRUTH is the truth.npz of a rendered scene, or a folder of exact
-depth maps named as those of the workspace. Stereo is run again, in a copy, to see what it says of some
+Each WORKSPACE has been through `sirpy stereo`, with the same backend; TRUTH is the truth.npz of a rendered scene, or
+a folder of exact depth maps named as those of the workspace. Stereo is run again, in a copy, to see what it says of some
 sub-images before the filter. The first scene is fitted, the others check: a depth is right within two
 pixels' worth, 2 depth / focal length. One JSON object for each scene; the first holds the coefficients, which
 belong into python/sirpy/filtering.py.
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from sirpy import dense_stereo
 from sirpy.filtering import (
     CONFIDENCE,
+    JUDGED_CONFIDENCE,
     Estimate,
     Reason,
     coplanar_shares,
@@ -35,6 +36,7 @@ from sirpy.filtering import (
 )
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.rectangle import Rectangle
+from sirpy.stereo_backend import DEFAULT_BACKEND, StereoOptions
 from sirpy.truth import Truth
 from sirpy.windows import read_map
 from sirpy.workspace import Workspace
@@ -57,29 +59,31 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", type=Path, nargs="+", metavar="WORKSPACE TRUTH")
     parser.add_argument("--sub-images", type=int, default=8, help="of each scene, evenly chosen")
+    parser.add_argument("--stereo", default=DEFAULT_BACKEND, help="the backend")
     arguments = parser.parse_args()
     scenes = list(zip(arguments.scenes[::2], arguments.scenes[1::2], strict=True))
     coefficients = None
+    now = CONFIDENCE if arguments.stereo == DEFAULT_BACKEND else JUDGED_CONFIDENCE
     for workspace, truth in scenes:
-        pixels = collect(workspace, truth, arguments.sub_images)
+        pixels = collect(workspace, truth, arguments.sub_images, arguments.stereo)
         result: dict[str, Any] = {"workspace": str(workspace)}
         if coefficients is None:
             coefficients = fitted(pixels)
             result["coefficients"] = [round(float(one), 3) for one in coefficients]
-        result["now"] = reliability(pixels, CONFIDENCE)
+        result["now"] = reliability(pixels, now)
         result["fitted"] = reliability(pixels, coefficients)
         result["reasons"] = reasons(pixels)
         print(json.dumps(result, indent=1), flush=True)
 
 
-def collect(folder: Path, truth: Path, most: int) -> Pixels:
+def collect(folder: Path, truth: Path, most: int, backend: str) -> Pixels:
     # Links beside the original: what is made anew takes the place of a link, not of the file.
     with tempfile.TemporaryDirectory(dir=folder.parent) as copy:
         shutil.copytree(folder, copy, copy_function=os.link, dirs_exist_ok=True)
         workspace = Workspace(copy)
         everything = list(workspace.sub_images())
         chosen = np.unique(np.linspace(0, len(everything) - 1, most).round().astype(int))
-        parts = estimated(workspace, [everything[i] for i in chosen], truth)
+        parts = estimated(workspace, [everything[i] for i in chosen], truth, backend)
     return Pixels(*(np.concatenate(maps, axis=-1) for maps in zip(*parts, strict=True)))
 
 
@@ -96,7 +100,7 @@ def true_depth(
 
 
 def estimated(
-    workspace: Workspace, chosen: list[tuple[NativeImage, SubImage]], truth: Path
+    workspace: Workspace, chosen: list[tuple[NativeImage, SubImage]], truth: Path, backend: str
 ) -> list[tuple[Any, ...]]:
     """Estimates the sub-images again, all passes: their pixels of known depth."""
     parts = []
@@ -120,7 +124,7 @@ def estimated(
     for _, sub in chosen:
         workspace.depth_map(sub, "geometric").unlink()
     with mock.patch.object(dense_stereo, "filter_depths", recorded):
-        dense_stereo.stereo(workspace)
+        dense_stereo.stereo(workspace, options=StereoOptions(backend=backend))
     return parts
 
 

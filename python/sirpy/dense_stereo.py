@@ -274,6 +274,7 @@ class _Estimator:
             read_mask_window(workspace, unit.native.name, window),
             offered,
             self._options,
+            of_pass.confidence,
         )
         reason = np.where(offered == 0, np.uint8(Reason.NO_SOURCES), reason)
         kept = _kept(unit, of_pass).slices_in(window)

@@ -26,6 +26,8 @@ _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the ma
 # Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
 # `evidence`. Fitted by benchmarks/confidence.py.
 CONFIDENCE = np.array([-2.043, 0.122, 2.273, -0.605, 4.562, -0.331])
+# The same of depths that a network found without a look at those of the sources.
+JUDGED_CONFIDENCE = np.array([-3.658, 0.235, 2.411, -2.338, 2.324, -0.512])
 
 
 class Reason(IntFlag):
@@ -104,6 +106,7 @@ def filter_depths(
     masked: npt.NDArray[np.bool_],
     num_sources: int | ByteMap,
     options: FilterOptions,
+    coefficients: npt.NDArray[np.float64] = CONFIDENCE,
 ) -> tuple[ByteMap, FloatMap]:
     """Why pixels have no depth (`Reason`, 0 where they have one), and the confidence of those that have.
 
@@ -112,6 +115,7 @@ def filter_depths(
         window: of the estimate, in native pixels.
         masked: (height, width), True where the photograph is not to be used.
         num_sources: that a pixel was offered, for all or for each: no more can agree than there are.
+        coefficients: of the confidence.
 
     Returns:
         reason; confidence: probability (0 .. 1) that a depth is right within two pixels' worth,
@@ -126,7 +130,7 @@ def filter_depths(
         part = _rows_of(estimate, rows)
         cosine = cosines(part.normal, intrinsics, _rows_of_window(window, rows))
         reason[rows] = _reasons(part, cosine, masked[rows], offered[rows], options)
-        confidence[rows] = probability(evidence(part, coplanar[rows]))
+        confidence[rows] = probability(evidence(part, coplanar[rows]), coefficients)
     kept = np.where(reason == 0, estimate.depth, np.float32(0))
     speckle = _core.find_speckles(
         kept,

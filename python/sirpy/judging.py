@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
+from sirpy.filtering import JUDGED_CONFIDENCE
 from sirpy.patch_match import PatchMatch
 from sirpy.rectangle import Rectangle
 from sirpy.stereo_backend import (
@@ -37,6 +38,7 @@ class Judge(StereoBackend):
     planes: tuple[Plane, ...] = ()
     title: str = "stereo, judged"
     cpu_us: tuple[float, float] = (1.5, 0.3)
+    confidence: npt.NDArray[np.float64] = JUDGED_CONFIDENCE
 
     def __init__(self, options: StereoOptions) -> None:
         self._patch_match = PatchMatch(0, "geometric", 0, options=options)

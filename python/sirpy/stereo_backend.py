@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from sirpy import _core
 from sirpy.errors import InputError
-from sirpy.filtering import FilterOptions, check_bounds
+from sirpy.filtering import CONFIDENCE, FilterOptions, check_bounds
 from sirpy.native_scene import NativeCamera
 from sirpy.rectangle import Rectangle
 from sirpy.view_fields import ViewField
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import torch
 
 FloatMap = npt.NDArray[np.float32]
-Plane = Literal["depth", "normal", "views", "spread"]
+Plane = Literal["depth", "normal", "views"]
 GROUP = "sirpy.stereo"
 DEFAULT_BACKEND = "patch_match"
 DEVICES = ("auto", "cpu", "cuda")
@@ -197,7 +197,6 @@ class DepthMap:
     """
 
     depth: FloatMap
-    spread: FloatMap | None = None  # standard deviation of the inverse depth
     normal: FloatMap | None = None  # (3, height, width), camera frame, towards the camera
     views: npt.NDArray[np.uint32] | None = None  # bit j: source j was used
     cost: FloatMap | None = None  # 1 - NCC over the sources used
@@ -254,6 +253,11 @@ class StereoBackend(Protocol):
     def reads_ahead(self) -> bool:
         """Whether `prepare` is called for the next window while one is estimated, by another thread."""
         return False
+
+    @property
+    def confidence(self) -> npt.NDArray[np.float64]:
+        """Log-odds of a right depth, of the last pass: as `filtering.CONFIDENCE`."""
+        return CONFIDENCE
 
     @property
     def cpu_us(self) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from sirpy.stereo_backend import DepthMap, Plane, StereoBackend
 from sirpy.windows import read_window
 from sirpy.workspace import Workspace
 
-_CHANNELS: dict[Plane, int] = {"depth": 1, "normal": 3, "views": 1, "spread": 1}
+_CHANNELS: dict[Plane, int] = {"depth": 1, "normal": 3, "views": 1}
 _BAND_PIXELS = 8_000_000  # native ones, read at once to be shrunk
 
 
@@ -121,7 +121,6 @@ def nothing_found(window: Rectangle) -> DepthMap:
     numbers, counts = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     return DepthMap(
         depth=numbers,
-        spread=numbers,
         normal=np.zeros((3, *shape), np.float32),
         views=np.zeros(shape, np.uint32),
         cost=numbers,

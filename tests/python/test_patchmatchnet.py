@@ -203,7 +203,7 @@ def test_steps_of_a_stage(net: PatchmatchNet, settings: Settings) -> None:
             np.testing.assert_allclose(seen.numpy(), golden[f"{key}view_weights"], atol=2e-5)
             published = golden[f"{key}cost_before_aggregation"]
             np.testing.assert_allclose(cost.numpy(), published, rtol=1e-4, atol=1e-3)
-            depth, _, _ = stage.regressed(given, hypotheses, torch.from_numpy(published), bands)
+            depth, _ = stage.regressed(given, hypotheses, torch.from_numpy(published), bands)
             assert relative(depth, golden[f"{key}depth"]).max() < 1e-5
         if s == 3:
             first = tensor("s3_i1_depth_propagated")

@@ -31,14 +31,12 @@ class Result:
     Attributes:
         depth: [H, W].
         confidence: [H, W], the published one; it depends on the width of the depth range.
-        spread: [H, W], standard deviation of the inverse depth.
         stages: depths of the iterations of stages 3, 2, 1 (1/8, 1/4, 1/2 of the size).
         view_weights: [S, H / 8, W / 8], how much each source sees, 0 to 1.
     """
 
     depth: Tensor
     confidence: Tensor
-    spread: Tensor
     stages: dict[int, list[Tensor]]
     view_weights: Tensor
 
@@ -147,17 +145,15 @@ class PatchmatchNet(nn.Module):
                 seen = view_weights
             if stage > 1:
                 depth, view_weights = doubled(depth[None])[0], doubled(view_weights)
-        assert last is not None and depth is not None
-        assert last.confidence is not None and last.spread is not None
+        assert last is not None and last.confidence is not None and depth is not None
         ends = (torch.full_like(depth, limit) for limit in (depth_min, depth_max))
         refined = self.upsample_net(resized[0], depth, *ends, bands)
         if (full_height, full_width) != (height, width):
             refined = F.interpolate(refined[None, None], (height, width), mode="bilinear")[0, 0]
-        confidence, spread = (
-            F.interpolate(map_[None, None], (height, width), mode="nearest")[0, 0]
-            for map_ in (last.confidence, last.spread)
-        )
-        return Result(refined, confidence, spread, found, seen)
+        confidence = F.interpolate(last.confidence[None, None], (height, width), mode="nearest")[
+            0, 0
+        ]
+        return Result(refined, confidence, found, seen)
 
 
 def projection(intrinsics: Tensor, extrinsics: Tensor, stage: int) -> Tensor:

@@ -95,13 +95,11 @@ class Found:
         view_weights: [S, h, w], how much each source sees of a pixel.
         confidence: [h, w], of the last stage: the published one, probability of the four hypotheses
             around the depth. It depends on how far these are apart.
-        spread: [h, w], of the last stage: standard deviation of the inverse depth.
     """
 
     depths: list[Tensor]
     view_weights: Tensor
     confidence: Tensor | None = None
-    spread: Tensor | None = None
 
 
 class Evaluation(nn.Module):
@@ -152,10 +150,10 @@ class PatchMatchStage(nn.Module):
             else:
                 start = self.perturbed(problem.range, depth)
             hypotheses, cost, view_weights = self.matched(problem, start, view_weights, bands)
-            depth, confidence, spread = self.regressed(problem, hypotheses, cost, bands)
+            depth, confidence = self.regressed(problem, hypotheses, cost, bands)
             depths.append(depth)
         assert view_weights is not None
-        return Found(depths, view_weights, confidence, spread)
+        return Found(depths, view_weights, confidence)
 
     def drawn(self, limits: InverseRange, initial: Tensor) -> Tensor:
         """[48, h, w]: a depth in each of as many bins of inverse depth, the farthest first."""
@@ -239,18 +237,15 @@ class PatchMatchStage(nn.Module):
 
     def regressed(
         self, problem: Problem, hypotheses: Tensor, cost: Tensor, bands: Bands
-    ) -> tuple[Tensor, Tensor | None, Tensor | None]:
-        """Depth [h, w]; in the last stage also confidence and spread."""
+    ) -> tuple[Tensor, Tensor | None]:
+        """Depth [h, w]; in the last stage also the confidence."""
         count, height, width = hypotheses.shape
         limits = problem.range
         # Inverse depth, 0 to 1 over the window: differences keep their digits.
         low, high = limits.far.amin(), limits.near.amax()
         position = (1 / hypotheses - low) / (high - low)
         depth = hypotheses.new_empty(height, width)
-        is_last = self.settings.stage == 1
-        confidence, spread = (
-            (torch.empty_like(depth), torch.empty_like(depth)) if is_last else (None, None)
-        )
+        confidence = torch.empty_like(depth) if self.settings.stage == 1 else None
 
         def band(rows: slice) -> None:
             x, y = self.around(problem.reference, rows)
@@ -260,17 +255,16 @@ class PatchMatchStage(nn.Module):
             weight /= weight.sum(dim=1, keepdim=True)
             score = (weight * at_neighbours(cost, x, y, problem.frame)).sum(dim=1)
             probability = F.log_softmax(score, dim=0).exp_()
-            if confidence is None or spread is None:
+            if confidence is None:
                 depth[rows] = (probability * hypotheses[:, rows]).sum(dim=0)
             else:
                 depth[rows] = between_ends(probability, hypotheses[:, rows])
                 confidence[rows] = four_around(probability)
-                spread[rows] = deviation(probability, 1 / hypotheses[:, rows])
 
         bands.run(
             band, height, 4 * _NEIGHBOURS * max(4 * count, CHANNELS[self.settings.stage]) * width
         )
-        return depth, confidence, spread
+        return depth, confidence
 
     def around(self, reference: Tensor, rows: slice) -> tuple[Tensor, Tensor]:
         """x and y [9, rows, w] of the neighbours that the cost of each pixel is aggregated over."""
@@ -316,12 +310,6 @@ def four_around(probability: Tensor) -> Tensor:
     assert isinstance(four, Tensor)
     index = _mean_index(probability).long().clamp_(0, len(probability) - 1)
     return four.gather(0, index[None])[0]
-
-
-def deviation(probability: Tensor, values: Tensor) -> Tensor:
-    """Standard deviation [h, w] of values [D, h, w] under their probabilities."""
-    mean = (probability * values).sum(dim=0)
-    return (probability * (values - mean).square_()).sum(dim=0).sqrt_()
 
 
 def _mean_index(probability: Tensor) -> Tensor:

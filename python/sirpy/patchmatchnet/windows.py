@@ -110,12 +110,11 @@ def estimate(
     seed: int,
     bands: Bands,
 ) -> DepthMap:
-    """Depth and spread of the window of `reference`, whose sides are multiples of `STEP`."""
+    """Depths of the window of `reference`, whose sides are multiples of `STEP`."""
     device = next(net.parameters()).device
     features.find([reference, *sources])
     whole = reference.extent.aligned(STEP)
     depth = view_weights = None
-    found = None
     for settings in SETTINGS:
         stage = settings.stage
         window, image = _reduced(reference.window, stage), _reduced(whole, stage)
@@ -140,15 +139,15 @@ def estimate(
         with torch.inference_mode():
             found = net.stage(stage)(problem, depth, view_weights, initial, bands)
             depth, view_weights = found.depths[-1], found.view_weights
+            del problem, maps  # before those of the next stage are read
             if stage > 1:
                 depth, view_weights = doubled(depth[None])[0], doubled(view_weights)
-    assert found is not None and found.spread is not None and depth is not None
+    assert depth is not None
     with torch.inference_mode():
         refined = net.upsample_net(
             _tensor(reference.image, device), depth, 1 / limits.near, 1 / limits.far, bands
         )
-        spread = doubled(found.spread[None])[0]
-    return DepthMap(refined.cpu().numpy(), spread=spread.cpu().numpy())
+    return DepthMap(refined.cpu().numpy())
 
 
 def drawn(window: Rectangle, seed: int) -> Tensor:
