@@ -3,8 +3,8 @@
     python benchmarks/confidence.py WORKSPACE TRUTH [WORKSPACE TRUTH ...] [--sub-images 8] [--stereo NAME]
 
 Each WORKSPACE has been through `sirpy stereo`, with the same backend; TRUTH is the truth.npz of a rendered scene, or
-a folder of exact depth maps named as those of the workspace. Stereo is run again, in a copy, to see what it says of some
-sub-images before the filter. The first scene is fitted, the others check: a depth is right within two
+a folder of exact depth maps named as those of the workspace. Stereo is run again, in a copy, to see what it says of
+some sub-images before the filter. The first scene is fitted, the others check: a depth is right within two
 pixels' worth, 2 depth / focal length. One JSON object for each scene; the first holds the coefficients, which
 belong into python/sirpy/filtering.py.
 """

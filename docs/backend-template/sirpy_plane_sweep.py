@@ -11,6 +11,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from sirpy.stereo_backend import (
+    TORCH_BYTES,
     DepthMap,
     DepthRange,
     OutOfDeviceMemory,
@@ -33,6 +34,7 @@ class PlaneSweep(StereoBackend):
 
     margin: int = RADIUS  # YOURS: the receptive field, in pixels to each side
     halo: int = RADIUS  # YOURS: as much of it as is worth the time around a sub-image
+    loaded_bytes: int = TORCH_BYTES  # YOURS: with the weights
     step: int = 1  # YOURS: sides of windows are multiples of it, for example 32
 
     def __init__(self, setup: Setup) -> None:
@@ -50,8 +52,8 @@ class PlaneSweep(StereoBackend):
         return torch_device_bytes(self._device)
 
     def memory(self, reference_pixels: int, source_pixels: int) -> int:
-        """YOURS: measure it at two sizes. Here torch, costs and some maps, images as float32."""
-        return 220_000_000 + (4 * PLANES + 180) * reference_pixels + 16 * source_pixels
+        """YOURS: measure it at two sizes. Here costs and some maps, images as float32."""
+        return 20_000_000 + (4 * PLANES + 180) * reference_pixels + 16 * source_pixels
 
     def estimate(
         self, reference: View, sources: Sequence[View], depth_range: DepthRange, prior: Prior

@@ -228,7 +228,7 @@ class _Estimator:
             self._source(field.sources[index], index, found, of_pass, depths)
             for index, found in windows.items()
         ]
-        return self._view(native, window, level), sources
+        return self._view(native, window, level), [one for one in sources if one is not None]
 
     def _depth_range(self, native: NativeImage, window: Rectangle, level: int) -> DepthRange:
         covered = native_pixels(window, level, native.rectangle)
@@ -307,10 +307,14 @@ class _Estimator:
         window: Rectangle,  # native pixels
         of_pass: StereoBackend,
         depths: PassMaps | None,
-    ) -> View:
+    ) -> View | None:
         native = self._natives[source.name]
         level = of_pass.level + source.level
-        rectangle = at_level(window, level).aligned(of_pass.step)
+        # A window of whole pixels of a coarser level may begin beside what is cut.
+        inside = at_level(window, level).intersection(at_level(native.covered, level))
+        if not inside.area:
+            return None
+        rectangle = inside.aligned(of_pass.step)
         depth = depths.read_coarser(native, rectangle, source.level) if depths else None
         return self._view(native, rectangle, level, index, depth)
 

@@ -335,6 +335,7 @@ def _predict(
     views_time = _VIEWS_TIME[0] * len(natives) + _VIEWS_TIME[1] * len(stored)
     observations = sum(len(seen.point) for seen in scene.observations.values())
     process = _PROCESS_BYTES + _BYTES_PER_OBSERVATION * observations
+    process += max(one.loaded_bytes for one in passes)
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
     fuse = max(_fuse_bytes(area, sources) for area, sources, _ in found)
@@ -343,8 +344,7 @@ def _predict(
         held_bytes = _stereo_bytes(one, selection, chosen, looked_at)
         if one.device_bytes is None:
             stereo = max(stereo, held_bytes)
-        else:  # what does not grow with the window is held here as well
-            stereo = max(stereo, one.memory(0, 0))
+        else:
             device_load = max(device_load, _SLACK * held_bytes / one.device_bytes)
     bytes_per_pixel = max(map(_stereo_bytes_per_pixel, passes))
     cached = min(IMAGE_CACHE_BYTES, pixels)

@@ -37,6 +37,7 @@ FloatMap = npt.NDArray[np.float32]
 Plane = Literal["depth", "normal", "views"]
 GROUP = "sirpy.stereo"
 DEFAULT_BACKEND = "patch_match"
+TORCH_BYTES = 190_000_000  # that loading torch adds to a process
 DEVICES = ("auto", "cpu", "cuda")
 
 
@@ -250,6 +251,11 @@ class StereoBackend(Protocol):
         return None
 
     @property
+    def loaded_bytes(self) -> int:
+        """What loading it adds to the process for good: libraries, weights."""
+        return 0
+
+    @property
     def reads_ahead(self) -> bool:
         """Whether `prepare` is called for the next window while one is estimated, by another thread."""
         return False
@@ -279,8 +285,8 @@ class StereoBackend(Protocol):
 
     @abstractmethod
     def memory(self, reference_pixels: int, source_pixels: int) -> int:
-        """Bytes at the peak of `estimate`, on its device, with what it is given: for pixels of the
-        reference window, and of all source windows together."""
+        """Bytes at the peak of `estimate`, on its device, with what it is given, beside `loaded_bytes`: for
+        pixels of the reference window, and of all source windows together."""
 
     @abstractmethod
     def estimate(
