@@ -248,6 +248,24 @@ void SetDepths(const Level& level, PlaneArrays* arrays, PatchMatchResult* into) 
   result.views = std::move(arrays->views);
 }
 
+// Where the start has no depth, or one that the block does not allow, another plane was looked at:
+// nothing is said of it.
+void LeaveOutOthers(const StartMaps& start, const Rectangle& window, PatchMatchResult* result) {
+  constexpr float kRounding = 1e-5f;
+  const size_t size = result->depth.size();
+  for (int64_t y = 0; y < window.height; ++y) {
+    const float* row = start.depth + (window.y0 + y - start.rectangle.y0) * start.rectangle.width +
+                       (window.x0 - start.rectangle.x0);
+    for (int64_t x = 0; x < window.width; ++x) {
+      const size_t at = size_t(y * window.width + x);
+      if (std::abs(result->depth[at] - row[x]) <= kRounding * row[x]) continue;
+      result->depth[at] = 0;
+      for (int i = 0; i < 3; ++i) result->normal[at + i * size] = 0;
+      result->num_consistent[at] = 0;
+    }
+  }
+}
+
 // The number of threads inside its scope; the caller's is restored.
 class ThreadCount {
  public:
@@ -340,6 +358,10 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
                                const StartMaps* start, const PatchMatchOptions& options) {
   options.Validate();
   Check(reference, sources, blocks, start);
+  if (options.iterations == 0 && !(start && start->level == reference.level)) {
+    throw std::invalid_argument(
+        "PatchMatchSir: without a sweep there must be a start of the same level");
+  }
   const ThreadCount threads(options.threads);
   const KernelOptions kernel = MakeKernelOptions(options);
   LevelData data = MakeLevel(reference, sources, blocks, options);
@@ -362,6 +384,7 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
   data = LevelData();
   prior = std::vector<float>();
   SetDepths(level, &planes, &result);
+  if (options.iterations == 0) LeaveOutOthers(*start, reference.rectangle, &result);
   return result;
 }
 

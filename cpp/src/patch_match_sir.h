@@ -26,7 +26,7 @@
 namespace sirpy {
 
 struct PatchMatchOptions {
-  int iterations = 2;       // sweeps; 0: the start is judged and left as it is
+  int iterations = 2;       // sweeps; 0: the start, of the same level, is judged as it is
   int offers = 8;           // planes of neighbours that a pixel tries, of 8
   double largest_step = 2;  // pixels of motion in the sources: the largest refinement at first
   int top_views = 4;        // sources that a pixel is matched against, at most

@@ -38,7 +38,7 @@ class PlaneSweep(StereoBackend):
     step: int = 1  # YOURS: sides of windows are multiples of it, for example 32
 
     def __init__(self, setup: Setup) -> None:
-        # YOURS: read the weights at the first estimate, not here: a plan makes backends too.
+        # YOURS: check that the weights are there; read them at the first estimate: plans need none.
         self._device = torch_device(setup.options.device)
         if setup.options.threads:
             torch.set_num_threads(setup.options.threads)

@@ -242,6 +242,8 @@ def cut(
     ] = None,
     jpeg_quality: Annotated[int, typer.Option(help="1 to 100.")] = 95,
     jpeg_chroma: Annotated[str, typer.Option(help="444, 422 or 420.")] = "444",
+    stereo: Stereo = _STEREO,
+    device: Device = "auto",
     quiet: Quiet = False,
 ) -> None:
     """Recapture: undistorts the photographs and cuts them into sub-images with their own cameras."""
@@ -251,6 +253,7 @@ def cut(
     from sirpy.memory import parse_memory
     from sirpy.photographs import Encoding
     from sirpy.progress import make_progress
+    from sirpy.stereo_backend import StereoOptions
 
     workspace = run(
         images,
@@ -258,6 +261,7 @@ def cut(
         output,
         grid=_grid(columns, rows, column_cuts, row_cuts),
         memory=parse_memory(memory),
+        stereo=StereoOptions(backend=stereo, device=device),
         overlap=overlap,
         region=read_region(roi, roi_list, area, area_crs, model_crs),
         same_size=same_size,

@@ -29,6 +29,7 @@ from sirpy.photographs import check_folders, recapture_to_files, white_level
 from sirpy.planning import plan
 from sirpy.progress import Progress
 from sirpy.rectangle import Grid
+from sirpy.stereo_backend import StereoOptions
 from sirpy.sub_image_model import sub_image_model, undistorted_model
 from sirpy.sub_image_sets import of_one_size, with_points
 from sirpy.workspace import Workspace, check_writable
@@ -44,6 +45,7 @@ def cut(
     *,
     grid: Grid | None = None,
     memory: int | None = None,
+    stereo: StereoOptions = StereoOptions(),
     identity: str | None = None,
     overlap: int = 0,
     region: Region = Region(),
@@ -66,6 +68,7 @@ def cut(
         output: folder of the workspace.
         grid: columns x rows of sub-images of each photograph; the coarsest for `memory` if None.
         memory: bytes that all later stages may take; None for no bound.
+        stereo: the stereo that the grid is chosen for, as in `plan`.
         identity: tells whether a model that was read already is the same as in an earlier run.
         overlap: extra pixels on each side of a sub-image.
         region: what of the photographs is cut; all of it by default.
@@ -101,7 +104,9 @@ def cut(
     if grid is None or region.area is not None or min_points > 0:
         scene = native_scene(undistorted_model(model, undistort))
     if scene is not None and grid is None:
-        found = plan(scene, memory=memory, overlap=overlap, region=region, images=images)
+        found = plan(
+            scene, memory=memory, overlap=overlap, region=region, images=images, stereo=stereo
+        )
         layout = replace(layout, grid=found.grid)
     tasks, left_out = cut_tasks(inputs, model, layout, scene, undistort, progress)
     if same_size:

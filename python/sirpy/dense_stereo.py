@@ -38,6 +38,8 @@ from sirpy.stereo_backend import (
     StereoBackend,
     StereoOptions,
     View,
+    backend_identity,
+    check_depth_map,
     make_backends,
 )
 from sirpy.stereo_passes import (
@@ -112,7 +114,7 @@ def stereo(
     passes = stereo_passes(views.coarsest, options, workspace.passes)
     what = {
         key: value for key, value in asdict(options).items() if key not in ("threads", "device")
-    }
+    } | {"backend": backend_identity(options.backend)}
     workspace.begin_stage("stereo", fingerprint(workspace.fingerprint_of("views"), what))
     if not all(_are_there(workspace.stereo_maps(sub)) for _, sub in workspace.sub_images()):
         estimator = _Estimator(workspace, views, options)
@@ -181,13 +183,13 @@ class _Estimator:
         if not self._views.fields[native.name].sources:
             return nothing_found(window)
         try:
-            reference, sources = self._given(native, window, of_pass, before)
-            return of_pass.estimate(
-                reference,
-                sources,
+            found = of_pass.estimate(
+                *self._given(native, window, of_pass, before),
                 self._depth_range(native, window, of_pass.level),
                 Prior(self._sparse_points(native), before),
             )
+            check_depth_map(found, window, of_pass)
+            return found
         except OutOfDeviceMemory:
             pass  # what the error still holds on the device is free after this block
         # Parts overlap by the halo, so what a pixel is given stays what it was.
@@ -197,7 +199,8 @@ class _Estimator:
         if max(one.area for one in around) >= window.area:
             raise BudgetError(
                 f"{of_pass.device} has too little memory for {window.width}x{window.height} "
-                "pixels: free some of it, or run on the processor (--device cpu)"
+                "pixels: free some of it"
+                + (", or run on the processor (--device cpu)" if of_pass.device != "cpu" else "")
             )
         progress.note(
             f"{of_pass.title}: {unit.name} needs more memory than {of_pass.device} has: "

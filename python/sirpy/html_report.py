@@ -57,7 +57,7 @@ def report(workspace: Workspace) -> Path:
         _grid(workspace),
         _depths(workspace),
         _coverage(reasons),
-        _stages(run.get("stages") or [], run.get("memory")),
+        _stages(run.get("stages") or [], run.get("memory"), run.get("stereo")),
         _left_out(_all_left_out(workspace, run)),
         _notes(run.get("notes") or []),
     ]
@@ -275,7 +275,7 @@ def _stacked(counts: dict[str, int], names: list[str], colours: dict[str, str]) 
     return f'<div class="bar">{"".join(parts)}</div>'
 
 
-def _stages(stages: list[dict[str, Any]], budget: int | None) -> str:
+def _stages(stages: list[dict[str, Any]], budget: int | None, stereo: str | None) -> str:
     if not stages:
         return ""
     peaks = [stage.get(key) or 0 for stage in stages for key in ("predicted_peak", "measured_peak")]
@@ -286,7 +286,9 @@ def _stages(stages: list[dict[str, Any]], budget: int | None) -> str:
         marks.append(("var(--ink)", f"budget, {_bytes(budget)}"))
     key = "".join(f'<li><i style="background:{c}"></i>{escape(text)}</li>' for c, text in marks)
     return (
-        "<h2>Stages</h2><p>Times, and the peak memory of the whole process tree.</p>"
+        "<h2>Stages</h2><p>Times, and the peak memory of the whole process tree."
+        + (f" Stereo is {escape(stereo)}." if stereo else "")
+        + "</p>"
         '<div class="card"><div class="scroll"><table><tr><th>stage</th><th></th>'
         '<th class="right">wall</th><th class="right">CPU</th><th class="right">predicted</th>'
         f'<th class="right">measured</th><th></th></tr>{rows}</table></div>'

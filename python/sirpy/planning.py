@@ -43,6 +43,8 @@ _SHRINKING_BYTES = (
 # Fusion, for each pixel of the core and of each source window: depths and their inverse 8, normal 12, mean depth and
 # number of views 9; then, when the inverse depths of the sources are gone, a point of 45.
 _FUSE_BYTES, _FUSE_BYTES_AT_END = (29, 8), (74, 4)
+# What stereo on a GPU holds here, for each pixel of the reference: the image, ranges, random numbers, the result.
+_GIVEN_TO_A_DEVICE = 25
 _REPORT_BYTES = 220_000_000  # its pictures, whatever the photographs
 _SMALLEST_SIDE = 256  # of a sub-image, pixels: below this the halo is most of the work
 # Photographs and sub-images that a plan looks at, evenly chosen when there are more; and sub-images while a grid is
@@ -158,8 +160,11 @@ def plan(
         natives = natives or _cut_images(scene, layout, seeing, names)
         return _predict(selection, passes, candidate, natives, held, notes, most)
 
+    device_loads: list[float] = []
+
     def needed(found: Plan) -> int:
         # A device of its own is to be filled no more than the memory is.
+        device_loads.append(found.device_load)
         return max(found.peak, int(found.device_load * (memory or 0)))
 
     candidates, peaks = [grid] if grid else _candidates(scene, region, names), list[int]()
@@ -174,6 +179,11 @@ def plan(
         if memory is None or needed(found) <= memory:
             return found
         peaks.append(needed(found))
+    if device_loads and min(device_loads) > 1:
+        raise BudgetError(
+            f"the GPU has too little memory: the least that would do is {min(device_loads):.2g} times as "
+            "much; run on the processor (--device cpu)"
+        )
     subject = f"a grid of {grid} sub-images needs" if grid else "the least that would do is"
     least = min(peaks)
     raise BudgetError(
@@ -345,6 +355,7 @@ def _predict(
         if one.device_bytes is None:
             stereo = max(stereo, held_bytes)
         else:
+            stereo = max(stereo, _GIVEN_TO_A_DEVICE * max(one.area for one in stored))
             device_load = max(device_load, _SLACK * held_bytes / one.device_bytes)
     bytes_per_pixel = max(map(_stereo_bytes_per_pixel, passes))
     cached = min(IMAGE_CACHE_BYTES, pixels)
@@ -398,14 +409,13 @@ def _stereo_bytes(
     sub_images: list[tuple[NativeImage, SubImage]],
     natives: list[NativeImage],
 ) -> int:
-    """Of the largest unit of a pass; between the coarsest level and the native one there is nothing larger."""
+    """Of the largest unit of a pass."""
     if of_pass.level == selection.coarsest:
         whole = (selection.pixels(native.name, None) for native in natives)
         return max(of_pass.memory(*pixels) for pixels in whole) + _SHRINKING_BYTES
-    if of_pass.level > 0:
-        return 0
-    parts = (selection.pixels(native.name, sub, of_pass.halo) for native, sub in sub_images)
-    return max(of_pass.memory(*pixels) for pixels in parts)
+    level, halo = of_pass.level, of_pass.halo << of_pass.level
+    parts = (selection.pixels(native.name, sub, halo) for native, sub in sub_images)
+    return max(of_pass.memory(*(count >> 2 * level for count in counts)) for counts in parts)
 
 
 def _stereo_bytes_per_pixel(of_pass: StereoBackend) -> tuple[int, int]:

@@ -189,6 +189,13 @@ class Prior:
     maps: Maps | None
 
 
+_KINDS = {
+    "views": np.dtype(np.uint32),
+    "num_seeing": np.dtype(np.uint8),
+    "num_consistent": np.dtype(np.uint8),
+}
+
+
 @dataclass
 class DepthMap:
     """What a backend finds in the window of the reference, (height, width); None: it does not say.
@@ -204,6 +211,29 @@ class DepthMap:
     texture: FloatMap | None = None  # variance of the grey levels in the patch
     num_seeing: npt.NDArray[np.uint8] | None = None
     num_consistent: npt.NDArray[np.uint8] | None = None
+
+
+def check_depth_map(found: DepthMap, window: Rectangle, of_pass: StereoBackend) -> None:
+    """Raises InputError where a backend gives what it must not: a package of others may be at fault."""
+    shape = window.height, window.width
+    needed: set[str] = {"depth", *of_pass.planes}
+    if of_pass.is_last:
+        needed |= {"normal", "cost", "texture", "num_seeing", "num_consistent"}
+    for name in sorted(needed):
+        plane = getattr(found, name, None)
+        kind = _KINDS.get(name, np.dtype(np.float32))
+        if not isinstance(plane, np.ndarray):
+            what = f"no {name}"
+        elif plane.dtype != kind or plane.shape[-2:] != shape:
+            what = f"{name} as {plane.dtype} {plane.shape}"
+        elif name == "depth" and not np.isfinite(plane).all():
+            what = "depths that are no finite numbers"
+        else:
+            continue
+        raise InputError(
+            f"the stereo backend found {what} for a window of {shape} pixels (pass {of_pass.name}): its "
+            f"package has to give {name} as {kind}, 0 where there is none"
+        )
 
 
 class StereoBackend(Protocol):
@@ -295,7 +325,8 @@ class StereoBackend(Protocol):
         """The depths of the reference's window.
 
         Args:
-            sources: one at least, the best first; where they are allowed is said by the range.
+            sources: the best first; where they are allowed is said by the range. None where no source
+                can see anything of the window.
 
         Raises:
             OutOfDeviceMemory: it is called again with two halves of the window.
@@ -340,11 +371,37 @@ def make_backends(setup: Setup) -> list[StereoBackend]:
             "package that has it"
         )
     try:
-        made = found[0].load()(setup)
+        make = found[0].load()
     except ModuleNotFoundError as error:
         what = "pip install 'sirpy[learned]'" if error.name == "torch" else f"install {error.name}"
         raise InputError(f"the stereo backend {name} needs {error.name}: {what}") from error
-    return list(made) if isinstance(made, Sequence) else [made]
+    except (ImportError, OSError, AttributeError) as error:
+        raise InputError(
+            f"the stereo backend {name} cannot be loaded ({error}): install its package anew"
+        ) from error
+    made = make(setup)
+    passes = list(made) if isinstance(made, Sequence) else [made]
+    _check_passes(name, passes, setup.coarsest)
+    return passes
+
+
+def _check_passes(backend: str, passes: list[StereoBackend], coarsest: int) -> None:
+    names = [one.name for one in passes]
+    if not passes or len(set(names)) < len(names):
+        what = (
+            f"passes {', '.join(names)}: each must have a name of its own" if passes else "nothing"
+        )
+    elif passes[-1].level != 0 or not all(0 <= one.level <= coarsest for one in passes):
+        what = f"passes at levels {[one.level for one in passes]}: the last must be at level 0"
+    else:
+        return
+    raise InputError(f"the stereo backend {backend} is made of {what}; mend its package")
+
+
+def backend_identity(name: str) -> str:
+    """What changes with another version of a backend's package."""
+    (*_, entry) = [entry for entry in entry_points(group=GROUP) if entry.name == name]
+    return f"{entry.value} {entry.dist.version if entry.dist else ''}"
 
 
 def check_backend(options: StereoOptions) -> None:

@@ -102,7 +102,9 @@ def problem(entry: Weights) -> str | None:
     try:
         with path.open("rb") as file:
             damage = _damage(entry, file.read(entry.size + 1))
-    except (FileNotFoundError, NotADirectoryError):
+    except NotADirectoryError:
+        return f"{path.parent}, where weights are looked for, is no folder"
+    except FileNotFoundError:
         return f"{entry.file} of {entry.name} is not downloaded to {path.parent}"
     except OSError as error:
         return f"{path} cannot be read ({error.strerror})"

@@ -90,6 +90,18 @@ struct Scene {
     return PatchMatchSir(reference.Window(), windows, blocks.View(), {}, &start, {});
   }
 
+  // What the sources say of planes as they are.
+  PatchMatchResult Judge(const std::vector<float>& depth) const {
+    std::vector<ViewWindow> windows;
+    for (const RenderedView& source : sources) windows.push_back(source.Window(true));
+    const std::vector<uint32_t> views(kWidth * kHeight);
+    const StartMaps start{
+        0, {0, 0, kWidth, kHeight}, depth.data(), reference.normal.data(), views.data()};
+    PatchMatchOptions options;
+    options.iterations = 0;
+    return PatchMatchSir(reference.Window(), windows, blocks.View(), {}, &start, options);
+  }
+
   // Signed errors in pixels of motion in a source, inside a border where the sources see
   // everything.
   std::vector<double> ShiftErrors(const PatchMatchResult& result, int border = 32) const {
@@ -244,6 +256,36 @@ TEST(PatchMatchSir, SameBytesWhateverTheSources) {
       expect_same(run(2));
     }
     unsetenv("SIRPY_ISA");
+  }
+}
+
+TEST(PatchMatchSir, WithoutASweepPlanesAreJudgedAndLeftAsTheyAre) {
+  const Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
+  std::vector<float> depth = scene.reference.depth;
+  const int border = 56;  // where all sources see the patch
+  for (int x = 0; x < kWidth; ++x) {
+    depth[58 * kWidth + x] *= 1.1f;  // wrong by some pixels
+    depth[60 * kWidth + x] = 0;
+    depth[62 * kWidth + x] = 20;  // deeper than the block allows
+    depth[61 * kWidth + x] = -1;
+  }
+  const PatchMatchResult found = scene.Judge(depth);
+  for (int y = border; y < kHeight - border; ++y) {
+    for (int x = border; x < kWidth - border; ++x) {
+      const size_t at = size_t(y) * kWidth + x;
+      if (y >= 60 && y <= 62) {
+        EXPECT_EQ(found.depth[at], 0);
+        continue;
+      }
+      EXPECT_FLOAT_EQ(found.depth[at], depth[at]);
+      EXPECT_EQ(found.num_seeing[at], 4);
+      EXPECT_EQ(found.num_consistent[at], y == 58 ? 0 : 4);
+      if (y == 58) {
+        EXPECT_GT(found.cost[at], 0.1);
+      } else {
+        EXPECT_LT(found.cost[at], 0.1);
+      }
+    }
   }
 }
 

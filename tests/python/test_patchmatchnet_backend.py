@@ -7,23 +7,31 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
 import pytest
 from PIL import Image
+from sirpy.cutting import cut
+from sirpy.dense_stereo import stereo
 from sirpy.errors import InputError
-from sirpy.rectangle import Grid
-from sirpy.stereo_backend import Setup, StereoOptions, make_backends
+from sirpy.layout import Region
+from sirpy.rectangle import Grid, Rectangle
+from sirpy.stereo_backend import DepthMap, Setup, StereoOptions, View, make_backends
+from sirpy.stereo_passes import write_planes
 from sirpy.synthetic import read_truth
+from sirpy.view_selection import views
 from sirpy.windows import read_map
 from sirpy.workspace import Workspace
+from tele_scene import wide_and_tele
 
 torch = pytest.importorskip("torch", reason="torch, of the extra `learned`, is not installed")
 
 from engine_scenes import cut_town  # noqa: E402
 from sirpy.mvsnet import SIZE_MULTIPLE, write_mvsnet  # noqa: E402
 from sirpy.patchmatchnet import PatchmatchNet  # noqa: E402
+from sirpy.patchmatchnet.windows import FeatureStore  # noqa: E402
 from sirpy.pipeline import reconstruct  # noqa: E402
 from test_mvsnet import read_camera, read_pairs  # noqa: E402
 
@@ -76,6 +84,41 @@ def test_threads_and_a_second_run_change_nothing(
     assert any(
         "PatchmatchNet, cpu: 0 of 12" in note or "11 of 12" in note for note in noted["notes"]
     )
+
+
+def test_a_region_of_any_corner_with_a_finer_source_reads_no_more_than_there_is(
+    tmp_path: Path, random_weights: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The source is read at level 1, where the region begins inside a pixel."""
+    scene = wide_and_tele(tmp_path / "scene")
+    kept: list[float] = []
+
+    def recorded(path: Path, found: DepthMap, *more: Any) -> None:
+        kept.extend(found.depth.ravel())
+        write_planes(path, found, *more)
+
+    monkeypatch.setattr("sirpy.dense_stereo.write_planes", recorded)
+    empty, read = torch.empty, FeatureStore.read
+
+    def filled(store: FeatureStore, view: View, stage: int) -> Any:
+        with monkeypatch.context() as patch:
+            patch.setattr(torch, "empty", lambda *a, **k: empty(*a, **k).fill_(float("nan")))
+            features = read(store, view, stage)
+        assert features.isfinite().all()  # all of it was found before
+        return features
+
+    monkeypatch.setattr(FeatureStore, "read", filled)
+    workspace = cut(
+        scene / "images",
+        scene / "sparse",
+        tmp_path / "out",
+        grid=Grid(2, 1),
+        region=Region(roi=Rectangle(31, 31, 200, 140)),
+    )
+    found = views(workspace, num_sources=2)
+    assert [source.level for source in found.fields["wide.png"].sources] == [1]
+    stereo(workspace, options=OPTIONS)
+    assert len(kept) > 2 * 200 * 140 and np.isfinite(kept).all()
 
 
 @needs_weights

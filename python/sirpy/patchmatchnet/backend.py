@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import zlib
 from collections.abc import Sequence
 from contextlib import suppress
+from threading import Lock
 
 import torch
 
@@ -27,8 +29,9 @@ from sirpy.stereo_backend import (
 )
 from sirpy.weights import weights_file
 
-_THREAD_BYTES = 70_000_000  # a band of rows, or a tile whose features are found
-# Per pixel of the reference: hypotheses and costs of the last stage 40, features 16, the image 6, depths and ranges; of a source window: features of the last stage 16, weight 1.
+_THREAD_BYTES = 110_000_000  # a band of rows, or a tile whose features are found
+# Per pixel of the reference: hypotheses and costs of the last stage 40, features 16, the image 6, depths and ranges;
+# of a source window: features of the last stage 16, weight 1.
 _PIXEL_BYTES = 75, 17
 
 
@@ -47,6 +50,7 @@ class PatchmatchNetBackend(StereoBackend):
         self._device = torch_device(setup.options.device)
         self._bands = Bands(self._device, setup.options.threads)
         self._weights = weights_file("patchmatchnet")
+        self._loading = Lock()
         self._loaded: tuple[PatchmatchNet, FeatureStore] | None = None
 
     @property
@@ -66,8 +70,13 @@ class PatchmatchNetBackend(StereoBackend):
         return f"PatchmatchNet, {self.device}"
 
     def memory(self, reference_pixels: int, source_pixels: int) -> int:
-        of_threads = _THREAD_BYTES * self._bands.threads
-        return of_threads + _PIXEL_BYTES[0] * reference_pixels + _PIXEL_BYTES[1] * source_pixels
+        # On a GPU a band is large: what is sampled, its products, and the layers on them.
+        of_bands = (
+            _THREAD_BYTES * self._bands.threads
+            if self._device.type == "cpu"
+            else 4 * self._bands.most_bytes
+        )
+        return of_bands + _PIXEL_BYTES[0] * reference_pixels + _PIXEL_BYTES[1] * source_pixels
 
     def prepare(self, reference: View, sources: Sequence[View]) -> None:
         _, features = self._network()
@@ -82,17 +91,26 @@ class PatchmatchNetBackend(StereoBackend):
         try:
             return estimate(net, features, reference, sources, depth_range, seed, self._bands)
         except torch.OutOfMemoryError:
-            torch.cuda.empty_cache()
             raise OutOfDeviceMemory from None
+        finally:
+            _give_back()
 
     def _network(self) -> tuple[PatchmatchNet, FeatureStore]:
-        if self._loaded is None:
-            assert self._setup.scratch is not None
-            net = PatchmatchNet.from_checkpoint(self._weights, self._device)
-            folder = self._setup.scratch / "patchmatchnet"
-            half = self._device.type != "cpu"
-            self._loaded = net, FeatureStore(net, folder, self._bands, half)
-        return self._loaded
+        with self._loading:  # the next window may be prepared meanwhile
+            if self._loaded is None:
+                assert self._setup.scratch is not None
+                net = PatchmatchNet.from_checkpoint(self._weights, self._device)
+                folder = self._setup.scratch / "patchmatchnet"
+                half = self._device.type != "cpu"
+                self._loaded = net, FeatureStore(net, folder, self._bands, half)
+            return self._loaded
+
+
+def _give_back() -> None:
+    """Returns what was freed to the system: glibc keeps it in an arena for each thread, some hundred
+    megabytes for the rest of the run."""
+    with suppress(OSError, AttributeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def patchmatchnet(setup: Setup) -> StereoBackend:

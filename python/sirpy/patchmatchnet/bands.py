@@ -1,7 +1,7 @@
 """Bands of rows: memory that does not grow with the map, threads that change nothing.
 
-Torch rounds differently with the number of threads of an operation. Here every operation has one thread, and
-threads work on different bands, so the bytes of a result do not depend on how many there are.
+Torch rounds differently with the number of threads of an operation. Here the operations of a band have one thread,
+and threads work on different bands, so the bytes of a result do not depend on how many there are.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Bands:
     def __init__(
         self, device: torch.device, threads: int = 0, most_bytes: int | None = None
     ) -> None:
-        on_cpu = device.type == "cpu"
-        self.most_bytes = most_bytes or (CPU_BYTES if on_cpu else GPU_BYTES)
-        self.threads = (threads or os.cpu_count() or 1) if on_cpu else 1
+        self._on_gpu = device.type != "cpu"
+        self.most_bytes = most_bytes or (GPU_BYTES if self._on_gpu else CPU_BYTES)
+        self.threads = 1 if self._on_gpu else threads or os.cpu_count() or 1
 
     def run(self, function: Callable[[slice], None], height: int, bytes_per_row: int) -> None:
         """Calls `function` with the rows of each band; together they are all rows of a map."""
@@ -43,7 +43,7 @@ class Bands:
 
     def map(self, function: Callable[[T], None], parts: list[T]) -> None:
         """Calls `function` with each of the parts."""
-        with _one_thread_an_operation():
+        with self._exact():
             if self.threads == 1 or len(parts) <= 1:
                 for part in parts:
                     _inferred(function, part)
@@ -52,17 +52,20 @@ class Bands:
                 for _ in pool.map(lambda part: _inferred(function, part), parts):
                     pass
 
+    @contextmanager
+    def _exact(self) -> Iterator[None]:
+        if self._on_gpu:  # where convolutions would otherwise round to 10 bits
+            with torch.backends.cudnn.flags(allow_tf32=False):
+                yield
+            return
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            yield
+        finally:
+            torch.set_num_threads(before)
+
 
 def _inferred(function: Callable[[T], None], part: T) -> None:
     with torch.inference_mode():  # a mode of the thread
         function(part)
-
-
-@contextmanager
-def _one_thread_an_operation() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -40,12 +40,10 @@ def folded(
 ) -> tuple[Tensor, Tensor]:
     """Weight and bias of a convolution together with the batch normalisation after it."""
     assert bn.running_mean is not None and bn.running_var is not None
-    # In single precision also where the network works in half: the variances are small.
-    scale = bn.weight.float() / torch.sqrt(bn.running_var.float() + bn.eps)
+    scale = bn.weight / torch.sqrt(bn.running_var + bn.eps)
     shape = [1] * weight.ndim
     shape[output_axis] = -1
-    bias = bn.bias - bn.running_mean * scale
-    return (weight * scale.reshape(shape)).to(weight.dtype), bias.to(weight.dtype)
+    return weight * scale.reshape(shape), bn.bias - bn.running_mean * scale
 
 
 class PointwiseNet(nn.Module):

@@ -19,9 +19,9 @@ from torch import Tensor, nn
 from sirpy.errors import InputError
 from sirpy.patchmatchnet.bands import Bands
 from sirpy.patchmatchnet.features import STEP, FeatureNet
-from sirpy.patchmatchnet.refinement import Refinement, as_float
+from sirpy.patchmatchnet.refinement import Refinement, as_float, doubled
 from sirpy.patchmatchnet.sampling import Frame, SourceMap
-from sirpy.patchmatchnet.stage import SETTINGS, InverseRange, PatchMatchStage, Problem
+from sirpy.patchmatchnet.stage import INITIAL, SETTINGS, InverseRange, PatchMatchStage, Problem
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,10 @@ class PatchmatchNet(nn.Module):
             stored = torch.load(path, map_location="cpu", weights_only=True)["model"]
             named = {name.removeprefix("module."): value for name, value in stored.items()}
             net.load_state_dict(named, strict=True)
-        except (OSError, LookupError, AttributeError, TypeError, RuntimeError, EOFError) as error:
-            raise _not_a_checkpoint(path, error) from None
-        except pickle.UnpicklingError as error:
+        except (
+            *(OSError, LookupError, AttributeError, TypeError, ValueError),
+            *(RuntimeError, EOFError, pickle.UnpicklingError),
+        ) as error:
             raise _not_a_checkpoint(path, error) from None
         return net.to(device)
 
@@ -103,7 +104,7 @@ class PatchmatchNet(nn.Module):
         bands = bands or Bands(device)
         height, width = images[0].shape[1:]
         resized = [_resized(image.to(device)) for image in images]
-        scaled = intrinsics.double().clone()
+        scaled, extrinsics = intrinsics.double().cpu().clone(), extrinsics.cpu()
         for matrix, before, after in zip(scaled, images, resized, strict=True):
             matrix[0] *= after.shape[2] / before.shape[2]
             matrix[1] *= after.shape[1] / before.shape[1]
@@ -134,17 +135,17 @@ class PatchmatchNet(nn.Module):
             limits = InverseRange(
                 *(torch.full(shape, 1 / limit, device=device) for limit in (depth_min, depth_max))
             )
-            if depth is None and initial is None:
-                initial = torch.rand(48, *shape, device=device)
+            if initial is None:
+                initial = torch.rand(INITIAL, *shape, device=device)
             frame = Frame(0, 0, shape[1], shape[0])
             problem = Problem(reference, sources, limits, frame)
-            last = self.stage(stage)(problem, depth, view_weights, initial, bands)
+            last = self.stage(stage)(problem, depth, view_weights, initial.to(device), bands)
             found[stage] = last.depths
             depth, view_weights = last.depths[-1], last.view_weights
             if stage == 3:
                 seen = view_weights
             if stage > 1:
-                depth, view_weights = doubled(depth[None])[0], doubled(view_weights)
+                depth, view_weights = doubled(depth), doubled(view_weights)
         assert last is not None and last.confidence is not None and depth is not None
         ends = (torch.full_like(depth, limit) for limit in (depth_min, depth_max))
         refined = self.upsample_net(resized[0], depth, *ends, bands)
@@ -171,11 +172,6 @@ def source_from_reference(source: Tensor, reference: Tensor) -> Tensor:
     """[3, 4] float32 of two projections, in float64 until the end: coordinates may be large (UTM)."""
     matrix: Tensor = source @ torch.linalg.inv(reference)
     return matrix[:3].float()
-
-
-def doubled(maps: Tensor) -> Tensor:
-    """[C, 2 h, 2 w]: every pixel four times."""
-    return maps.repeat_interleave(2, dim=1).repeat_interleave(2, dim=2)
 
 
 def _as_published(

@@ -56,7 +56,7 @@ class Refinement(nn.Module):
                 as_float(image[:, 2 * first : 2 * end]),
                 ((around - nearest[first:end]) / extent)[None],
             )[0]
-            found = _doubled(around) + residual * _doubled(extent)
+            found = doubled(around) + residual * doubled(extent)
             kept = slice(2 * (rows.start - first), 2 * (rows.stop - first))
             refined[2 * rows.start : 2 * rows.stop] = found[kept]
 
@@ -69,5 +69,6 @@ def as_float(image: Tensor) -> Tensor:
     return image.float() / 255 if image.dtype == torch.uint8 else image
 
 
-def _doubled(x: Tensor) -> Tensor:
-    return x.repeat_interleave(2, dim=0).repeat_interleave(2, dim=1)
+def doubled(maps: Tensor) -> Tensor:
+    """[..., 2 h, 2 w]: every pixel four times."""
+    return maps.repeat_interleave(2, dim=-2).repeat_interleave(2, dim=-1)

@@ -44,16 +44,11 @@ class Settings:
     dilation: int  # of the learned offsets, and distance of the neighbours, pixels
 
     @property
-    def hypotheses(self) -> tuple[int, int]:
-        """In the first iteration of all, and otherwise."""
-        return INITIAL + self.propagated, self.samples + self.propagated
-
-    @property
     def reach(self) -> int:
         """Pixels that have a say in a pixel, beside what offsets the network has learned."""
-        propagation = 2 * self.dilation if self.propagated == 16 else self.dilation
-        one = (propagation if self.propagated else 0) + self.dilation - 1 + 1
-        return self.iterations * one
+        propagation = {0: 0, 8: self.dilation, 16: 2 * self.dilation}[self.propagated]
+        aggregation = self.dilation  # its neighbours are a pixel nearer, and interpolated
+        return self.iterations * (propagation + aggregation)
 
 
 SETTINGS = (

@@ -6,6 +6,7 @@ may be matched, and where the published network samples. So a window changes not
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -19,13 +20,14 @@ from torch import Tensor
 from sirpy.npy import open_npy, write_npy
 from sirpy.patchmatchnet.bands import Bands
 from sirpy.patchmatchnet.features import CHANNELS, REACH, STEP
-from sirpy.patchmatchnet.network import PatchmatchNet, doubled, projection, source_from_reference
-from sirpy.patchmatchnet.refinement import as_float
+from sirpy.patchmatchnet.network import PatchmatchNet, projection, source_from_reference
+from sirpy.patchmatchnet.refinement import as_float, doubled
 from sirpy.patchmatchnet.sampling import Frame, SourceMap
 from sirpy.patchmatchnet.stage import INITIAL, SETTINGS, InverseRange, Problem
 from sirpy.rectangle import Rectangle
 from sirpy.stereo_backend import DepthMap, DepthRange, View, level_intrinsics
 
+_ROW = 4096  # pixels of a row of tiles that are read at once
 TILE = 512  # pixels on a side, whose features are found at once
 
 
@@ -43,15 +45,19 @@ class FeatureStore:
         self._device = next(net.parameters()).device
         self._finding = Lock()
         self._kind = torch.float16 if half else torch.float32
-        self._feature = net.feature.to(self._kind)
+        self._feature = copy.deepcopy(net.feature).to(self._kind)
 
     def find(self, views: Sequence[View]) -> None:
         """Finds and writes what is missing of the windows of photographs."""
-        with self._finding:  # the next window may be read meanwhile
+        if not any(map(self._missing, views)):
+            return
+        with self._finding:  # by another thread perhaps, for the next window
             rows = [
                 (view, list(tiles))
                 for view in views
-                for _, tiles in groupby(self._missing(view), key=lambda tile: tile.y0)
+                for _, tiles in groupby(
+                    self._missing(view), key=lambda tile: (tile.y0, tile.x0 // _ROW)
+                )
             ]
             self._bands.map(lambda row: self._find_row(*row), rows)
 
@@ -113,7 +119,7 @@ def estimate(
     """Depths of the window of `reference`, whose sides are multiples of `STEP`."""
     device = next(net.parameters()).device
     features.find([reference, *sources])
-    whole = reference.extent.aligned(STEP)
+    whole = Rectangle(0, 0, reference.camera.width, reference.camera.height).aligned(STEP)
     depth = view_weights = None
     for settings in SETTINGS:
         stage = settings.stage
@@ -141,7 +147,7 @@ def estimate(
             depth, view_weights = found.depths[-1], found.view_weights
             del problem, maps  # before those of the next stage are read
             if stage > 1:
-                depth, view_weights = doubled(depth[None])[0], doubled(view_weights)
+                depth, view_weights = doubled(depth), doubled(view_weights)
     assert depth is not None
     with torch.inference_mode():
         refined = net.upsample_net(
@@ -152,14 +158,16 @@ def estimate(
 
 def drawn(window: Rectangle, seed: int) -> Tensor:
     """[48, h, w]: random numbers from 0 to 1 of the pixels of a window, the same in every window."""
-    bins = np.arange(INITIAL, dtype=np.uint64)[:, None, None]
     y, x = (
         np.arange(a, b, dtype=np.uint64)
         for b, a in ((window.y1, window.y0), (window.x1, window.x0))
     )
     hashed = _mixed(_mixed(np.uint64(seed) << np.uint64(32) | x) ^ (y[:, None] << np.uint64(32)))
-    hashed = _mixed(hashed ^ bins)
-    return torch.from_numpy((hashed >> np.uint64(40)).astype(np.float32) / np.float32(1 << 24))
+    found = np.empty((INITIAL, window.height, window.width), np.float32)
+    for number, of_bin in enumerate(found):
+        of_bin[:] = _mixed(hashed ^ np.uint64(number)) >> np.uint64(40)
+    found /= 1 << 24
+    return torch.from_numpy(found)
 
 
 def _mixed(values: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
