@@ -25,6 +25,7 @@ from sirpy.errors import BudgetError
 from sirpy.files import fingerprint
 from sirpy.filtering import Estimate, FilterOptions, Reason, filter_depths
 from sirpy.judging import Judge
+from sirpy.memory import give_back
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import read_native_scene
 from sirpy.progress import Progress
@@ -148,6 +149,7 @@ class _Estimator:
             for unit, following in zip_longest(todo, todo[1:]):
                 with self._prepared(following, of_pass, maps):
                     self._run_unit(unit, of_pass, maps, progress)
+                give_back()
                 step.advance()
 
     def _run_unit(

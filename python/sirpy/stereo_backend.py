@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
-from sirpy.errors import InputError
+from sirpy.errors import InputError, SirpyError
 from sirpy.filtering import CONFIDENCE, FilterOptions, check_bounds
 from sirpy.native_scene import NativeCamera
 from sirpy.rectangle import Rectangle
@@ -37,7 +37,7 @@ FloatMap = npt.NDArray[np.float32]
 Plane = Literal["depth", "normal", "views"]
 GROUP = "sirpy.stereo"
 DEFAULT_BACKEND = "patch_match"
-TORCH_BYTES = 190_000_000  # that loading torch adds to a process
+TORCH_BYTES = 260_000_000  # that torch adds to a process, when it has worked
 DEVICES = ("auto", "cpu", "cuda")
 
 
@@ -371,7 +371,9 @@ def make_backends(setup: Setup) -> list[StereoBackend]:
             "package that has it"
         )
     try:
-        make = found[0].load()
+        made = found[0].load()(setup)
+    except SirpyError:
+        raise
     except ModuleNotFoundError as error:
         what = "pip install 'sirpy[learned]'" if error.name == "torch" else f"install {error.name}"
         raise InputError(f"the stereo backend {name} needs {error.name}: {what}") from error
@@ -379,7 +381,6 @@ def make_backends(setup: Setup) -> list[StereoBackend]:
         raise InputError(
             f"the stereo backend {name} cannot be loaded ({error}): install its package anew"
         ) from error
-    made = make(setup)
     passes = list(made) if isinstance(made, Sequence) else [made]
     _check_passes(name, passes, setup.coarsest)
     return passes

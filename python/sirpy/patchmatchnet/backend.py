@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import zlib
 from collections.abc import Sequence
 from contextlib import suppress
@@ -29,7 +28,7 @@ from sirpy.stereo_backend import (
 )
 from sirpy.weights import weights_file
 
-_THREAD_BYTES = 110_000_000  # a band of rows, or a tile whose features are found
+_THREAD_BYTES = 90_000_000  # a band of rows, or a tile whose features are found
 # Per pixel of the reference: hypotheses and costs of the last stage 40, features 16, the image 6, depths and ranges;
 # of a source window: features of the last stage 16, weight 1.
 _PIXEL_BYTES = 75, 17
@@ -92,8 +91,6 @@ class PatchmatchNetBackend(StereoBackend):
             return estimate(net, features, reference, sources, depth_range, seed, self._bands)
         except torch.OutOfMemoryError:
             raise OutOfDeviceMemory from None
-        finally:
-            _give_back()
 
     def _network(self) -> tuple[PatchmatchNet, FeatureStore]:
         with self._loading:  # the next window may be prepared meanwhile
@@ -104,13 +101,6 @@ class PatchmatchNetBackend(StereoBackend):
                 half = self._device.type != "cpu"
                 self._loaded = net, FeatureStore(net, folder, self._bands, half)
             return self._loaded
-
-
-def _give_back() -> None:
-    """Returns what was freed to the system: glibc keeps it in an arena for each thread, some hundred
-    megabytes for the rest of the run."""
-    with suppress(OSError, AttributeError):  # another C library
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def patchmatchnet(setup: Setup) -> StereoBackend:
