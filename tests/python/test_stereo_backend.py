@@ -8,6 +8,7 @@ import weakref
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ from sirpy.stereo_backend import (
     StereoOptions,
     View,
     backend_names,
+    check_depth_map,
     level_intrinsics,
     make_backends,
 )
@@ -181,18 +183,63 @@ def test_a_package_gives_one_backend_or_a_list_of_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     imported = "from sirpy.patch_match import PatchMatch\n"
-    offer(tmp_path, monkeypatch, imported + "def make(setup): return PatchMatch(setup.coarsest)\n")
+    offer(tmp_path, monkeypatch, imported + "def make(setup): return PatchMatch(0)\n")
     (one,) = make_backends(setup_of("other"))
-    assert one == PatchMatch(2)
+    assert one == PatchMatch(0)
     # It does not look at the depths of the sources, so they are judged after it.
     passes = stereo_passes(2, StereoOptions(backend="other"), None)
-    assert passes[:1] == [PatchMatch(2)] and isinstance(passes[1], Judge) and passes[1].is_last
+    assert passes[:1] == [PatchMatch(0)] and isinstance(passes[1], Judge) and passes[1].is_last
 
     (tmp_path / "list").mkdir()
     both = "def make(setup): return PatchMatch(0), PatchMatch(0, 'geometric')\n"
     offer(tmp_path / "list", monkeypatch, imported + both)
     expected = [PatchMatch(0), PatchMatch(0, "geometric")]
     assert stereo_passes(2, StereoOptions(backend="other"), None) == expected
+
+
+@pytest.mark.parametrize(
+    ("made", "what"),
+    [
+        ("[]", "made of nothing"),
+        ("[PatchMatch(0), PatchMatch(0)]", "each must have a name of its own"),
+        ("PatchMatch(1)", "the last must be at level 0"),
+        ("[PatchMatch(3), PatchMatch(0)]", "levels \\[3, 0\\]"),
+    ],
+)
+def test_passes_that_cannot_run_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: str, what: str
+) -> None:
+    imported = "from sirpy.patch_match import PatchMatch\n"
+    offer(tmp_path, monkeypatch, f"{imported}def make(setup): return {made}\n")
+    with pytest.raises(InputError, match=what):
+        make_backends(setup_of("other"))
+
+
+class OnlyDepth(StereoBackend):
+    """As a network is."""
+
+    def memory(self, reference_pixels: int, source_pixels: int) -> int:
+        return 0
+
+    def estimate(self, *given: Any) -> DepthMap:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(
+    ("found", "what"),
+    [
+        (DepthMap(np.ones((3, 4))), "depth as float64"),  # type: ignore[arg-type]
+        (DepthMap(np.ones((4, 3), np.float32)), "depth as float32 \\(4, 3\\)"),
+        (DepthMap(np.full((3, 4), np.nan, np.float32)), "no finite numbers"),
+        (DepthMap([[1.0]]), "no depth"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_no_depth_map_is_refused(found: DepthMap, what: str) -> None:
+    window, of_pass = Rectangle(0, 0, 4, 3), PatchMatch(0)
+    with pytest.raises(InputError, match=what):
+        check_depth_map(found, window, OnlyDepth())
+    with pytest.raises(InputError, match="no normal"):
+        check_depth_map(DepthMap(np.ones((3, 4), np.float32)), window, of_pass)
 
 
 # What it is given.
