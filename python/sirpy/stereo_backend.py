@@ -37,7 +37,7 @@ FloatMap = npt.NDArray[np.float32]
 Plane = Literal["depth", "normal", "views"]
 GROUP = "sirpy.stereo"
 DEFAULT_BACKEND = "patch_match"
-TORCH_BYTES = 260_000_000  # that torch adds to a process, when it has worked
+TORCH_BYTES = 320_000_000  # that torch adds to a process, when it has worked
 DEVICES = ("auto", "cpu", "cuda")
 
 
