@@ -80,12 +80,9 @@ def estimated_window(
     kept, reach = _kept(unit, of_pass), of_pass.margin
     if of_pass.is_last:  # what is filtered must know the islands that reach into what is kept
         reach += options.margin
-    return _window_around(unit, kept, min(max(halo, of_pass.halo), reach), of_pass)
-
-
-def _window_around(unit: Unit, kept: Rectangle, halo: int, of_pass: StereoBackend) -> Rectangle:
     covered = at_level(unit.native.covered, of_pass.level)
-    return kept.padded(halo).intersection(covered).aligned(of_pass.step)
+    around = kept.padded(min(max(halo, of_pass.halo), reach))
+    return around.intersection(covered).aligned(of_pass.step)
 
 
 def _kept(unit: Unit, of_pass: StereoBackend) -> Rectangle:

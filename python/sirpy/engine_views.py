@@ -49,9 +49,7 @@ class EngineView:
     @cached_property
     def intrinsics(self) -> Floats:
         """(3, 3), in pixels of the sub-image, pixel centres at whole numbers."""
-        matrix = self.camera.intrinsics.copy()
-        matrix[:2, 2] -= [self.sub_image.stored.x0 + 0.5, self.sub_image.stored.y0 + 0.5]
-        return matrix
+        return self.camera.window_intrinsics(self.sub_image.stored)
 
     @cached_property
     def img_from_world(self) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy.model_arrays import SparseModel, read_arrays
+from sirpy.rectangle import Rectangle
 from sirpy.workspace import Workspace
 
 Floats = npt.NDArray[np.float64]
@@ -29,6 +30,14 @@ class NativeCamera:
     def centre(self) -> Floats:
         """Projection centre in the world, (3,)."""
         return -self.cam_from_world[:, :3].T @ self.cam_from_world[:, 3]
+
+    def window_intrinsics(self, window: Rectangle, level: int = 0) -> Floats:
+        """(3, 3) of a window as an image of its own, pixel centres at whole numbers: half a pixel less than
+        ours. The window is in pixels of the level, 2^level native ones each."""
+        matrix = self.intrinsics.copy()
+        matrix[:2] /= 1 << level
+        matrix[:2, 2] -= [window.x0 + 0.5, window.y0 + 0.5]
+        return matrix
 
     def in_camera(self, world: Floats) -> Floats:
         """World points (n, 3) in the camera frame, (n, 3)."""

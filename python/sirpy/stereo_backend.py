@@ -22,11 +22,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
+from sirpy.depth_range import DepthRange as DepthRange  # also for packages
 from sirpy.errors import InputError, SirpyError
 from sirpy.filtering import CONFIDENCE, FilterOptions, check_bounds
 from sirpy.native_scene import NativeCamera
 from sirpy.rectangle import Rectangle
-from sirpy.view_fields import ViewField
 from sirpy.view_windows import LEAST_COARSEST
 from sirpy.workspace import Pass
 
@@ -109,59 +109,7 @@ class View:
     @property
     def intrinsics(self) -> npt.NDArray[np.float64]:
         """(3, 3) of the window as an image of its own, pixel centres at whole numbers."""
-        return level_intrinsics(self.camera, self.level, self.window)
-
-
-@dataclass(frozen=True)
-class DepthRange:
-    """Depths (z in the reference camera) that a window can have; they differ from place to place.
-
-    Attributes:
-        field: of the native image; its blocks say also which sources see a place.
-        window: native pixels.
-    """
-
-    field: ViewField
-    window: Rectangle
-
-    @property
-    def minimum(self) -> float:
-        return float(self.field.min_depth[self.field.blocks(self.window)].min())
-
-    @property
-    def maximum(self) -> float:
-        return float(self.field.max_depth[self.field.blocks(self.window)].max())
-
-    def inverse(
-        self, x: npt.NDArray[np.floating], y: npt.NDArray[np.floating]
-    ) -> tuple[FloatMap, FloatMap]:
-        """Inverse depths of the nearest and the farthest, (len(y), len(x)), at native pixel coordinates.
-
-        Without steps: linear between the corners of the blocks, where the ranges of those that meet have
-        something in common. A range of a block holds those of the blocks around it, so what is common
-        holds what each of them needs; and it is no more than the range that the source windows hold.
-        """
-        near, far = (
-            _between_corners(
-                _at_corners(common, 1 / depths.astype(np.float64)), self.field.side, x, y
-            )
-            for common, depths in (
-                (np.minimum, self.field.min_depth),
-                (np.maximum, self.field.max_depth),
-            )
-        )
-        return near, far
-
-    def allowed(
-        self, x: npt.NDArray[np.floating], y: npt.NDArray[np.floating], index: int
-    ) -> npt.NDArray[np.bool_]:
-        """Where a source may be matched, (len(y), len(x)), at native pixel coordinates."""
-        side = self.field.side
-        rows, columns = (np.clip(at, 0, None).astype(int) // side for at in (y, x))
-        height, width = self.field.allowed.shape
-        rows, columns = np.minimum(rows, height - 1), np.minimum(columns, width - 1)
-        bits: npt.NDArray[np.uint32] = self.field.allowed[np.ix_(rows, columns)]
-        return (bits >> np.uint32(index) & 1).astype(bool)
+        return self.camera.window_intrinsics(self.window, self.level)
 
 
 class Maps(Protocol):
@@ -434,37 +382,3 @@ def torch_device_bytes(device: torch.device) -> int | None:
     if device.type == "cpu":
         return None
     return int(torch.cuda.get_device_properties(device).total_memory)
-
-
-def level_intrinsics(
-    camera: NativeCamera, level: int, window: Rectangle
-) -> npt.NDArray[np.float64]:
-    """(3, 3) of a window of a level, pixel centres at whole numbers."""
-    matrix = camera.intrinsics.copy()
-    matrix[:2] /= 1 << level
-    matrix[:2, 2] -= [window.x0 + 0.5, window.y0 + 0.5]
-    return matrix
-
-
-def _at_corners(common: np.ufunc, blocks: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(rows + 1, columns + 1): what the blocks that meet in a corner have in common."""
-    padded = np.pad(blocks, 1, mode="edge")
-    beside = common(padded[:, :-1], padded[:, 1:])
-    found: npt.NDArray[np.float64] = common(beside[:-1], beside[1:])
-    return found
-
-
-def _between_corners(
-    values: npt.NDArray[np.float64],
-    side: int,
-    x: npt.NDArray[np.floating],
-    y: npt.NDArray[np.floating],
-) -> FloatMap:
-    """Bilinear between the corners of blocks, (len(y), len(x)); beyond the outermost their values."""
-    for axis, at in ((0, y), (1, x)):
-        last = values.shape[axis] - 1
-        place = np.clip(at / side, 0, last)
-        first = np.minimum(place.astype(int), last - 1)
-        share = (place - first).reshape((-1, 1) if axis == 0 else (1, -1))
-        values = values.take(first, axis) * (1 - share) + values.take(first + 1, axis) * share
-    return values.astype(np.float32)

@@ -19,7 +19,7 @@ LAYERS = """
     model_files model_arrays self_calibration structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
     colmap_lists view_fields view_windows view_selection windows
-    filtering stereo_backend stereo_passes patch_match judging dense_stereo patchmatchnet
+    filtering depth_range stereo_backend stereo_passes patch_match judging dense_stereo patchmatchnet
     area layout planning sub_image_sets
     cut_tasks cutting
     clustering

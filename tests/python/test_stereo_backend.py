@@ -39,7 +39,6 @@ from sirpy.stereo_backend import (
     View,
     backend_names,
     check_depth_map,
-    level_intrinsics,
     make_backends,
 )
 from sirpy.stereo_passes import at_level, read_pixels
@@ -314,7 +313,7 @@ def test_intrinsics_are_those_of_the_window_with_centres_at_whole_numbers(level:
     point = camera.in_camera(camera.world(native, np.array([80.0])))[0]
     x, y, w = view.intrinsics @ point
     np.testing.assert_allclose([x / w, y / w], [47 - 30, 12 + 8], atol=1e-9)
-    np.testing.assert_array_equal(view.intrinsics, level_intrinsics(camera, level, window))
+    np.testing.assert_array_equal(view.intrinsics, camera.window_intrinsics(window, level))
     assert camera.intrinsics[0, 2] == 400  # the camera is left as it was
 
 

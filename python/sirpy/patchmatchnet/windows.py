@@ -25,7 +25,7 @@ from sirpy.patchmatchnet.refinement import as_float, doubled
 from sirpy.patchmatchnet.sampling import Frame, SourceMap
 from sirpy.patchmatchnet.stage import INITIAL, SETTINGS, InverseRange, Problem
 from sirpy.rectangle import Rectangle
-from sirpy.stereo_backend import DepthMap, DepthRange, View, level_intrinsics
+from sirpy.stereo_backend import DepthMap, DepthRange, View
 
 _ROW = 4096  # pixels of a row of tiles that are read at once
 TILE = 512  # pixels on a side, whose features are found at once
@@ -181,8 +181,7 @@ def _mixed(values: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 def _camera(view: View) -> tuple[Tensor, Tensor]:
     """Intrinsics of the window and extrinsics [4, 4]."""
     extrinsics = np.vstack([view.camera.cam_from_world, [0, 0, 0, 1]])
-    intrinsics = level_intrinsics(view.camera, view.level, view.window)
-    return torch.from_numpy(intrinsics), torch.from_numpy(extrinsics)
+    return torch.from_numpy(view.intrinsics), torch.from_numpy(extrinsics)
 
 
 def _tiles(view: View) -> list[Rectangle]:
