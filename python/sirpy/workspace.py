@@ -13,6 +13,9 @@ OUT/stereo/              COLMAP's dense folder: depth_maps, normal_maps, patch-m
 OUT/explained/           pictures of what stereo found, on request
 OUT/fusion/              the points of each sub-image
 OUT/fused.ply, OUT/cloud.png, OUT/report.html, OUT/run.json
+OUT/georeference.json    where on the Earth the model lies, when asked for
+OUT/fused.laz, OUT/dsm.tif, OUT/ortho.tif, OUT/mesh.ply, OUT/mesh.glb, OUT/tiles3d/   products, when asked for
+OUT/tiles/               of these, what is made tile by tile
 
 For other engines, on request (they number the sub-images):
 OUT/cams/, OUT/pair.txt, OUT/images/00000000.jpg ...   MVSNet and its relatives
@@ -48,6 +51,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
     "cut": (
         "sir.json",
         "native",
+        "georeference.json",
         "images",
         "masks",
         "sparse",
@@ -78,6 +82,15 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/consistency_graphs",
     ),
     "fuse": ("fusion", "fused.ply", "fused.ply.vis", "meshed-poisson.ply", "run.json"),
+    "products": (
+        "fused.laz",
+        "dsm.tif",
+        "ortho.tif",
+        "mesh.ply",
+        "mesh.glb",
+        "tiles3d",
+        "tiles",
+    ),
     "report": ("report.html", "cloud.png"),
 }
 
@@ -260,6 +273,36 @@ class Workspace:
     @property
     def fused(self) -> Path:
         return self.folder / "fused.ply"
+
+    @property
+    def georeference(self) -> Path:
+        return self.folder / "georeference.json"
+
+    @property
+    def fused_laz(self) -> Path:
+        return self.folder / "fused.laz"
+
+    @property
+    def surface_model(self) -> Path:
+        return self.folder / "dsm.tif"
+
+    @property
+    def orthophoto(self) -> Path:
+        return self.folder / "ortho.tif"
+
+    @property
+    def mesh(self) -> Path:
+        """The mesh as PLY; the same as GLB beside it."""
+        return self.folder / "mesh.ply"
+
+    @property
+    def tiles3d(self) -> Path:
+        """3D Tiles of the cloud; their root is tileset.json in it."""
+        return self.folder / "tiles3d"
+
+    def tile(self, name: str, extension: str) -> Path:
+        """A product of one tile of the ground: tiles/NAME.laz, tiles/NAME.dsm.tif ..."""
+        return self.folder / "tiles" / f"{name}.{extension}"
 
     @property
     def report(self) -> Path:

@@ -27,7 +27,9 @@ LAYERS = """
     cmp_mvs mvsnet pmvs colmap_workspace
     exporting
     undistorter_options sir_undistorter colmap_launcher
+    frame cloud
     fusion
+    georeference tiles products
     overview cloud_picture explaining html_report
     pipeline demo plan_table
     weights_cli cli __main__
