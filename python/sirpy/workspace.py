@@ -304,6 +304,14 @@ class Workspace:
         """A product of one tile of the ground: tiles/NAME.laz, tiles/NAME.dsm.tif ..."""
         return self.folder / "tiles" / f"{name}.{extension}"
 
+    def tiles_made(self, extension: str) -> list[Path]:
+        """The products of that kind that tiles of the ground have."""
+        # The name of a tile has no dot: NAME.ply is not NAME.mesh.ply.
+        made = self.tile("*", extension)
+        return sorted(
+            p for p in made.parent.glob(made.name) if "." not in p.name[: -len(extension) - 1]
+        )
+
     @property
     def report(self) -> Path:
         return self.folder / "report.html"

@@ -30,9 +30,10 @@ LAYERS = """
     frame cloud
     fusion
     georeference tiles products
+    laz point_selection cloud_files tiles3d tiles3d_worker
     overview cloud_picture explaining html_report
     pipeline demo plan_table
-    weights_cli cli __main__
+    weights_cli tiles3d_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
