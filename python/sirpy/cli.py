@@ -408,11 +408,11 @@ def fuse(
     threads: Threads = 0,
     quiet: Quiet = False,
 ) -> None:
-    """The depth maps as one cloud."""
+    """The depth maps as one cloud; those of a dense workspace that COLMAP made, too."""
+    from sirpy.colmap_dense import open_workspace
     from sirpy.fusion import FusionOptions
     from sirpy.fusion import fuse as run
     from sirpy.progress import make_progress
-    from sirpy.workspace import Workspace
 
     options = FusionOptions(
         min_consistent=min_consistent,
@@ -420,9 +420,10 @@ def fuse(
         keep_duplicates=keep_duplicates,
         threads=threads,
     )
-    folder = Workspace(workspace)
-    points = run(folder, options=options, progress=make_progress(quiet))
-    print(f"cloud: {folder.fused} ({points:,} points)")
+    folder = open_workspace(workspace)
+    made = run(folder, options=options, progress=make_progress(quiet))
+    print(f"cloud: {folder.fused} ({made.points:,} points)")
+    _report_left_out(made.left_out, "depth maps")
 
 
 @app.command()
@@ -461,13 +462,13 @@ def _print_result(result: Reconstruction, memory: str) -> None:
         print(f"memory:  {gigabytes(result.peak_bytes)} at the peak, of {memory}")
 
 
-def _report_left_out(left_out: Sequence[LeftOut]) -> None:
+def _report_left_out(left_out: Sequence[LeftOut], what: str = "photographs") -> None:
     """The exit status says that something is missing, although the rest is done."""
     if left_out:
         reasons = "; ".join(f"{out.name}: {out.reason}" for out in left_out[:3])
         more = f"; and {len(left_out) - 3} more" if len(left_out) > 3 else ""
         raise InputError(
-            f"the result is made without {len(left_out)} of the photographs ({reasons}{more})"
+            f"the result is made without {len(left_out)} of the {what} ({reasons}{more})"
         )
 
 

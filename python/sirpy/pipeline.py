@@ -132,11 +132,11 @@ def reconstruct(
     with log.stage(workspace, "stereo", count, "sub-image"):
         stereo(workspace, options=stereo_options, progress=progress)
     with log.stage(workspace, "fuse", count, "sub-image"):
-        points = fuse(workspace, options=fusion_options, progress=progress)
-    left_out = sorted([*left_out, *workspace.left_out], key=lambda out: out.name)
-    log.write(workspace, chosen, points, left_out, stereo_options.backend, progress.notes)
+        fused = fuse(workspace, options=fusion_options, progress=progress)
+    left_out = sorted([*left_out, *workspace.left_out, *fused.left_out], key=lambda out: out.name)
+    log.write(workspace, chosen, fused.points, left_out, stereo_options.backend, progress.notes)
     report(workspace)
-    return Reconstruction(workspace, chosen, points, left_out, log.peak)
+    return Reconstruction(workspace, chosen, fused.points, left_out, log.peak)
 
 
 @dataclass

@@ -27,7 +27,7 @@ LAYERS = """
     cmp_mvs mvsnet pmvs colmap_workspace
     exporting
     undistorter_options sir_undistorter colmap_launcher
-    frame cloud
+    frame cloud depth_maps colmap_dense
     fusion
     georeference tiles products
     overview cloud_picture explaining html_report
