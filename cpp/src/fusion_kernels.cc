@@ -61,12 +61,15 @@ void Ask(const Source& source, const Limits& limits, Run* run) {
     v[i] = float((a[3] * x + row_y + source.offset[1] * rho) * inverse) - y0;
   }
   const float width = float(source.width - 1), height = float(source.height - 1);
+  bool any = false;
   for (int64_t i = 0; i < count; ++i) {
     const bool inside = (u[i] >= 0) & (v[i] >= 0) & (u[i] < width) & (v[i] < height);
     const float rho = InterpolatedInverseDepth(source.inverse_depth, int(source.width),
                                                inside ? u[i] : 0.f, inside ? v[i] : 0.f);
     sampled[i] = inside ? rho : 0.f;
+    any |= sampled[i] > 0;
   }
+  if (!any) return;
   for (int64_t i = 0; i < count; ++i) measured[i] = h_z[i] > 0 ? double(sampled[i]) : 0.0;
   for (int64_t i = 0; i < count; ++i) {
     const double x = run->first_x + double(int32_t(i)), y = run->y, rho = run->inverse_depth[i];
