@@ -10,7 +10,7 @@ import sirpy
 PACKAGE = Path(sirpy.__file__).parent
 # Each line may import from the lines above it, and from modules to its left.
 LAYERS = """
-    engine_options errors files memory npy rectangle resources
+    engine_options errors crs files memory npy rectangle resources
     native_images workspace progress
     weights
     _core
