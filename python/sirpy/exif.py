@@ -58,9 +58,9 @@ def read_exif(photograph: Path) -> Exif:
     has_focal = any(focals)
     lens = tuple("" if value is None else str(value).strip("\0 ") for value in names + focals)
     latitude, longitude = _degrees(gps, _LATITUDE, "S", 90), _degrees(gps, _LONGITUDE, "W", 180)
-    known = latitude is not None and longitude is not None
-    no_fix = (latitude, longitude) == (0, 0)  # is what cameras write then
-    position = (latitude, longitude) if known and not no_fix else None
+    position = None
+    if latitude is not None and longitude is not None and (latitude, longitude) != (0, 0):
+        position = latitude, longitude  # both 0 is what cameras without a fix write
     return Exif(lens if has_focal else (), position, _altitude(gps) if position else None)
 
 
@@ -93,7 +93,7 @@ def _degrees(gps: dict[int, Any], tag: int, negative: str, most: int) -> float |
     """Degrees, minutes and seconds as degrees; None when it is missing or no angle."""
     try:
         parts = [float(part) for part in gps[tag]]
-        degrees = sum(part / 60**power for power, part in enumerate(parts[:3]))
+        degrees = sum(part / 60.0**power for power, part in enumerate(parts[:3]))
         if len(parts) != 3 or not 0 <= degrees <= most:  # also what is not finite
             return None
         return (

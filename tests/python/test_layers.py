@@ -29,10 +29,11 @@ LAYERS = """
     undistorter_options sir_undistorter colmap_launcher
     frame cloud
     fusion
+    similarity local_frame point_tables places camera_positions ground_control alignment aligning
     georeference tiles products
     overview cloud_picture explaining html_report
     pipeline demo plan_table
-    weights_cli cli __main__
+    weights_cli georeference_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
