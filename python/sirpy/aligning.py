@@ -32,15 +32,21 @@ def align_positions(
     progress: Progress,
 ) -> Alignment:
     """By the places of cameras of the scene; arguments and errors as of `georeference`."""
+    everywhere = places.on_the_ground(crs)
+    ground = everywhere.which_exist()
+    if lost := sorted(set(everywhere.names) - set(ground.names)):
+        progress.note(
+            f"not used, since {ground.crs} has no such places: {first_few(lost)}; check these"
+        )
     what = "position" if source == "positions" else "GPS position with an altitude"
-    if len(places.names) < FEWEST:
+    if len(ground.names) < FEWEST:
         raise InputError(
-            f"{len(places.names)} of the {len(scene.cameras)} photographs have a {what}, and an alignment needs "
+            f"{len(ground.names)} of the {len(scene.cameras)} photographs have a {what}, and an alignment needs "
             f"{FEWEST}: give a table with --positions, or control points with --gcp and --marks"
         )
-    ground = places.on_the_ground(crs)
     _check_apart(ground.xyz, "positions")
     centres = np.array([scene.cameras[name].centre for name in ground.names])
+    _check_apart(centres, "cameras of the model")
     up = up_direction(scene)
     found = robust_similarity(centres, ground.xyz, up=up, max_residual=max_residual)
     _check_fit(found, ground.xyz, scene)
@@ -68,6 +74,10 @@ def align_control_points(
     met = intersect(model, marks)
     points = _where_rays_meet(points, met, progress)
     ground = points.places.on_the_ground(crs)
+    if lost := sorted(set(ground.names) - set(ground.which_exist().names)):
+        raise InputError(
+            f"{ground.crs} has no place such as that of {first_few(lost)}: check its coordinates"
+        )
     control = ~points.check
     _check_apart(ground.xyz[control], "control points")
     found = _fit_control(
@@ -152,9 +162,7 @@ def _marks_left_out(
 
 def _check_apart(xyz: Floats, what: str) -> None:
     if np.ptp(xyz, axis=0).max() <= 0:
-        raise InputError(
-            f"all {what} are the same place, which says nothing about size or direction"
-        )
+        raise InputError(f"all {what} are at one place, which says nothing about size or direction")
 
 
 def _check_fit(found: Similarity, world: Floats, scene: NativeScene) -> None:

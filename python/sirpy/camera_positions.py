@@ -26,7 +26,8 @@ def exif_positions(images: Path, names: Sequence[str], progress: Progress) -> Pl
     """
     if not images.is_dir():
         raise InputError(f"there is no folder {images}: give the folder of the photographs")
-    found, flat, missing = {}, [], []
+    found: dict[str, tuple[float, float, float]] = {}
+    flat, nowhere, missing = list[str](), list[str](), list[str]()
     with progress.stage("reading positions", len(names), "photograph") as steps:
         for name in names:
             exif = read_exif(images / name)
@@ -35,23 +36,25 @@ def exif_positions(images: Path, names: Sequence[str], progress: Progress) -> Pl
                 found[name] = (longitude, latitude, exif.altitude)
             elif exif.position is not None:
                 flat.append(name)
-            if not (images / name).is_file():
-                missing.append(name)
+            else:
+                (nowhere if (images / name).is_file() else missing).append(name)
             steps.advance()
     if len(missing) == len(names):
         raise InputError(
             f"{images} has none of the photographs of this workspace ({first_few(missing)}): give their folder"
-        )
-    if flat:
-        progress.note(
-            f"{len(flat)} photographs have a GPS position without an altitude, which is not used: "
-            f"{first_few(flat)}"
         )
     if not found:
         raise InputError(
             f"no photograph in {images} has a GPS position with an altitude in its EXIF: give positions as a "
             "table with --positions, or control points with --gcp and --marks"
         )
+    for some, what in (
+        (missing, f"are not in {images}"),
+        (flat, "have a GPS position without an altitude, which is not used"),
+        (nowhere, "have no GPS position"),
+    ):
+        if some:
+            progress.note(f"{len(some)} of {len(names)} photographs {what}: {first_few(some)}")
     return Places(tuple(found), np.array(list(found.values())), WGS84)
 
 

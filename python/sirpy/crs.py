@@ -41,12 +41,6 @@ def ground_crs(text: str, option: str) -> str:
             f"{option} {text} is not projected, so x and y would not be lengths on the ground: give a "
             "projected CRS, such as a UTM zone"
         )
-    method = crs.coordinate_operation.method_name if crs.coordinate_operation else ""
-    if "Pseudo Mercator" in method:
-        raise InputError(
-            f"{option} {text} is a map for screens, whose lengths are not those on the ground: give a "
-            "projected CRS, such as a UTM zone"
-        )
     axes = {axis.direction: axis.unit_name for axis in crs.axis_info[:2]}
     if axes != {"east": "metre", "north": "metre"}:
         raise InputError(
@@ -82,6 +76,23 @@ def converted(places: Floats, source: str, target: str) -> Floats:
     move = Transformer.from_crs(source, target, always_xy=True)
     x, y = move.transform(places[:, 0], places[:, 1])
     return np.column_stack([x, y, places[:, 2]])
+
+
+def length_error(crs: str, x: float, y: float) -> float:
+    """How far lengths at a place of a projected CRS are from those on the ground: 0.01 for a hundredth;
+    infinite where it knows no such place."""
+    from pyproj import Geod
+
+    around = np.array([[-500, 0, 0], [500, 0, 0], [0, -500, 0], [0, 500, 0]])
+    ends = np.array([x, y, 0]) + around
+    longitude, latitude, _ = converted(ends, crs, WGS84).T
+    if not np.isfinite([longitude, latitude]).all():
+        return np.inf
+    first, last = [0, 2], [1, 3]
+    _, _, lengths = Geod(ellps="WGS84").inv(
+        longitude[first], latitude[first], longitude[last], latitude[last]
+    )
+    return float(np.abs(1000 / lengths - 1).max())
 
 
 def _listed(axes: dict[str, str]) -> str:

@@ -227,4 +227,7 @@ def _with_distances(residuals: Sequence[Residual]) -> str:
         for one in residuals
         if one.role == "outlier"
     ]
-    return ", ".join(f"{name} ({away:,.3g} off)" for away, name in sorted(outliers, reverse=True))
+    return ", ".join(
+        f"{name} ({away:{',.0f' if away >= 100 else '.3g'}} off)"
+        for away, name in sorted(outliers, reverse=True)
+    )

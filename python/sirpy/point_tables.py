@@ -63,7 +63,9 @@ class Table:
             if not name:
                 raise InputError(f"{row.where} has no {names[0]}: give it, or remove the line")
             if name in seen:
-                raise InputError(f"{row.where} has {name} again, as {seen[name]}: keep one of them")
+                raise InputError(
+                    f"{row.where} names {name} again, after {seen[name]}: keep one of them"
+                )
             seen[name] = row.where
             yield name, row
 
@@ -94,7 +96,7 @@ def read_table(path: Path) -> Table:
     for number, line in numbered[1:]:
         if line.startswith("#"):
             continue
-        where, fields = f"{path}, line {number},", _fields(line, delimiter)
+        where, fields = f"line {number} of {path}", _fields(line, delimiter)
         if len(fields) != len(headers):
             raise InputError(
                 f"{where} has {len(fields)} fields where the header has {len(headers)}: mend the line"

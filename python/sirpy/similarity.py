@@ -19,10 +19,8 @@ from sirpy.frame import Floats, Frame
 
 FEWEST = 3  # points
 
-_TRIPLES = 2000
-_TURN_OF_TRIPLES = (
-    0.05  # weight of the up direction beside the points of a triple, whose weight is 1
-)
+_TRIPLES = 1000
+_TURN_OF_TRIPLES = 1e-12  # weight of the up direction beside a triple's, for those on one line
 _UP_SIGMA = math.radians(3)
 _MEDIAN_OF_SIGMA = 1.538  # the median length of a vector in 3D whose components have a sigma of 1
 _GATE = 5.0  # sigma
@@ -65,18 +63,19 @@ def robust_similarity(
     """
     origin, centre = np.median(model, axis=0), np.median(world, axis=0)
     x, y = model - origin, world - centre
-    extent = math.sqrt(float((y**2).sum(axis=1).mean()))
+    far = np.linalg.norm(y, axis=1)
+    extent = float(np.median(far)) or float(far.max())  # whatever the outliers are
     exact = _EXACT * extent
     if covariances is None:
         white, least = np.broadcast_to(np.eye(3), (len(x), 3, 3)), exact
     else:
         known = covariances + exact**2 * np.eye(3)
         white, least = np.linalg.inv(np.linalg.cholesky(known)), 1.0
-    frame = _best_of_triples(x, y, up)
+    frame = _best_of_triples(x, y, white, up)
     used = np.ones(len(x), bool)
     for _ in range(_ROUNDS):
         residuals = frame.world(x) - y
-        lengths = np.linalg.norm(np.einsum("nij,nj->ni", white, residuals), axis=1)
+        lengths = _lengths(white, residuals)
         sigma = max(_robust_sigma(lengths), least)
         agree = lengths <= _GATE * sigma
         if max_residual is not None:
@@ -98,20 +97,26 @@ def robust_similarity(
     )
 
 
+def _lengths(white: Floats, residuals: Floats) -> Floats:
+    """(n,), in sigma."""
+    lengths: Floats = np.linalg.norm(np.einsum("nij,nj->ni", white, residuals), axis=1)
+    return lengths
+
+
 def _robust_sigma(lengths: Floats) -> float:
     """Of one component, from the lengths (n,) of residuals; few points fit better than they are."""
     few = 1 + 5 / (len(lengths) - 2)
     return float(np.median(lengths)) / _MEDIAN_OF_SIGMA * few
 
 
-def _best_of_triples(x: Floats, y: Floats, up: Floats) -> Frame:
+def _best_of_triples(x: Floats, y: Floats, white: Floats, up: Floats) -> Frame:
     """The similarity of three points that has the least median of residuals."""
     triples = np.array(_triples(len(x)))
     a, b = x[triples], y[triples]
     a_mean, b_mean = a.mean(axis=1, keepdims=True), b.mean(axis=1, keepdims=True)
     a, b = a - a_mean, b - b_mean
     a_size, b_size = (np.sqrt((one**2).sum(axis=(1, 2))) for one in (a, b))
-    apart = (a_size > _EXACT * a_size.max()) & (b_size > _EXACT * b_size.max())
+    apart = (a_size > _EXACT * np.median(a_size)) & (b_size > _EXACT * np.median(b_size))
     a, b, a_size, b_size = a[apart], b[apart], a_size[apart], b_size[apart]
     # Wahba's problem, by singular values (Markley 1988): the points, and that up is z.
     spread = np.einsum("mni,mnj->mij", b, a) / (a_size * b_size)[:, None, None]
@@ -122,7 +127,7 @@ def _best_of_triples(x: Floats, y: Floats, up: Floats) -> Frame:
     moved = scale[:, None, None] * (a_mean[apart] @ np.swapaxes(rotation, 1, 2))
     shift = (b_mean[apart] - moved)[:, 0]
     medians = [
-        np.median(((s * (x @ r.T) + t - y) ** 2).sum(axis=1))
+        np.median(_lengths(white, s * (x @ r.T) + t - y))
         for s, r, t in zip(scale, rotation, shift, strict=True)
     ]
     best = int(np.argmin(medians))
