@@ -36,7 +36,7 @@ def test_exif_of_those_that_have_all(tmp_path: Path) -> None:
 
 def test_no_exif_at_all(tmp_path: Path) -> None:
     with_gps(tmp_path / "c.jpg", {})
-    with pytest.raises(InputError, match="no photograph .* has a GPS position"):
+    with pytest.raises(InputError, match=r"no photograph .* has a GPS position"):
         exif_positions(tmp_path, ["c.jpg"], Progress())
     with pytest.raises(InputError, match="has none of the photographs"):
         exif_positions(tmp_path, ["x.jpg"], Progress())

@@ -59,7 +59,7 @@ def test_so_is_a_survey_of_a_wall_and_one_of_slopes() -> None:
     random = np.random.default_rng(0)
     wall = np.column_stack([random.uniform(-9, 9, 500), np.zeros(500), random.uniform(0, 8, 500)])
     street = np.array([[x, -10, 1.6] for x in (-6.0, -3, 0, 3, 6)])
-    assert is_z_up(looking(street, street + [0, 1, 0.1], wall))
+    assert is_z_up(looking(street, street + np.array([0, 1, 0.1]), wall))
     hill = turned(ABOVE, Rotation.from_euler("y", 40, degrees=True).as_matrix()).points
     assert is_z_up(replace(ABOVE, points=hill))
 
