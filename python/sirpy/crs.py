@@ -74,7 +74,7 @@ def converted(places: Floats, source: str, target: str) -> Floats:
     from pyproj import Transformer
 
     move = Transformer.from_crs(source, target, always_xy=True)
-    x, y = move.transform(places[:, 0], places[:, 1])
+    x, y = move.transform(places[:, 0].tolist(), places[:, 1].tolist())
     return np.column_stack([x, y, places[:, 2]])
 
 
