@@ -10,7 +10,7 @@ import sirpy
 PACKAGE = Path(sirpy.__file__).parent
 # Each line may import from the lines above it, and from modules to its left.
 LAYERS = """
-    engine_options errors files memory npy rectangle resources
+    engine_options errors crs files memory npy rectangle resources
     native_images workspace progress
     weights
     _core
@@ -29,10 +29,11 @@ LAYERS = """
     undistorter_options sir_undistorter colmap_launcher
     frame cloud depth_maps colmap_dense
     fusion
+    similarity local_frame point_tables places camera_positions ground_control alignment aligning
     georeference tiles products
     overview cloud_picture explaining html_report
     pipeline demo plan_table
-    weights_cli cli __main__
+    weights_cli georeference_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
