@@ -71,7 +71,7 @@ AreaCrs = Annotated[
 ]
 ModelCrs = Annotated[
     str | None,
-    typer.Option(help="CRS of the model; without it --area has the model's coordinates."),
+    typer.Option(help="CRS that the model lies in; without it --area has the model's coordinates."),
 ]
 Masks = Annotated[
     Path | None, typer.Option(help="Folder of masks NAME.png, black where not to be used.")
@@ -82,6 +82,10 @@ Stereo = Annotated[
 ]
 Device = Annotated[
     str, typer.Option(help="Of networks: auto (a GPU where there is one), cpu, cuda.")
+]
+Products = Annotated[
+    str,
+    typer.Option(help="Made of the points: some of cloud,dsm,ortho,mesh,tiles3d."),
 ]
 Threads = Annotated[int, typer.Option(help="0: one for each core.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only results and errors.")]
@@ -108,6 +112,7 @@ def reconstruct(
     num_sources: NumSources = 8,
     stereo: Stereo = _STEREO,
     device: Device = "auto",
+    products: Products = "",
     threads: Threads = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -124,15 +129,17 @@ def reconstruct(
         model=model,
         memory=parse_memory(memory),
         grid=_grid(columns, rows, column_cuts, row_cuts),
-        region=read_region(roi, roi_list, area, area_crs, model_crs),
+        region=read_region(roi, roi_list, area, area_crs, model_crs if area else None),
         masks=masks,
+        model_crs=model_crs,
         num_sources=num_sources,
         stereo_options=StereoOptions(backend=stereo, device=device, threads=threads),
+        products=[name.strip() for name in products.split(",")] if products else [],
         threads=threads,
         progress=make_progress(quiet),
     )
     _print_result(result, memory)
-    _report_left_out(result.left_out)
+    _report_left_out(result.left_out, failed=result.failed)
 
 
 @app.command()
@@ -456,6 +463,8 @@ def _print_result(result: Reconstruction, memory: str) -> None:
     from sirpy.memory import gigabytes
 
     print(f"cloud:   {result.workspace.fused} ({result.points:,} points)")
+    for name, path in result.products.items():
+        print(f"{name + ':':<8} {path}")
     print(f"report:  {result.workspace.report}")
     if result.workspace.cloud_picture.exists():
         print(f"picture: {result.workspace.cloud_picture}")
@@ -463,14 +472,22 @@ def _print_result(result: Reconstruction, memory: str) -> None:
         print(f"memory:  {gigabytes(result.peak_bytes)} at the peak, of {memory}")
 
 
-def _report_left_out(left_out: Sequence[LeftOut], what: str = "photographs") -> None:
+def _report_left_out(
+    left_out: Sequence[LeftOut], what: str = "photographs", failed: Sequence[LeftOut] = ()
+) -> None:
     """The exit status says that something is missing, although the rest is done."""
-    if left_out:
-        reasons = "; ".join(f"{out.name}: {out.reason}" for out in left_out[:3])
-        more = f"; and {len(left_out) - 3} more" if len(left_out) > 3 else ""
-        raise InputError(
-            f"the result is made without {len(left_out)} of the {what} ({reasons}{more})"
-        )
+    missing = [
+        f"without {len(some)} of the {of_what} ({_reasons(some)})"
+        for some, of_what in ((left_out, what), (failed, "products"))
+        if some
+    ]
+    if missing:
+        raise InputError(f"the result is made {' and '.join(missing)}")
+
+
+def _reasons(left_out: Sequence[LeftOut]) -> str:
+    more = f"; and {len(left_out) - 3} more" if len(left_out) > 3 else ""
+    return "; ".join(f"{out.name}: {out.reason}" for out in left_out[:3]) + more
 
 
 def _given(context: typer.Context, *parameters: str) -> list[str]:

@@ -32,7 +32,7 @@ LAYERS = """
     similarity local_frame point_tables places camera_positions ground_control alignment aligning
     georeference tiles products
     overview cloud_picture explaining html_report
-    pipeline demo plan_table
+    deliverables pipeline demo plan_table
     weights_cli georeference_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
