@@ -30,9 +30,10 @@ LAYERS = """
     frame cloud depth_maps colmap_dense
     fusion
     georeference tiles products
+    lattice block_store raster_files surface_model best_views orthophoto
     overview cloud_picture explaining html_report
     pipeline demo plan_table
-    weights_cli cli __main__
+    weights_cli rasters_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
