@@ -7,7 +7,6 @@ shows something in front of the place. What is chosen for a place does not depen
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,19 +28,39 @@ _NOTHING_NEAR = 0.0
 _EDGE_NEAR = 1e6
 _UNKNOWN = 2e6  # no depth there: nothing says that something is in front
 
-Indices = npt.NDArray[np.intp]
+_LARGEST = float(np.finfo(np.float64).max)
+
+Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class _View:
-    native: NativeImage
-    camera: NativeCamera
-    centre: Floats  # (3,) in the frame of the products
-    sides: Floats  # (4, 3) inward normals of the frustum's sides, camera frame
+    """A photograph as it sees places that are given from the origin of the frame's model."""
 
-    @property
-    def focal(self) -> float:
-        return float(self.camera.intrinsics[0, 0])
+    native: NativeImage
+    focal: float  # pixels
+    centre: Floats  # (3,)
+    pixel_from_place: Floats  # (3, 4), homogeneous; the last is the depth, in the unit of the model
+    sides: Floats  # (4, 4) planes through the centre and the sides of the image, positive inside
+
+    def project(self, places: Floats) -> tuple[Floats, Floats, Floats]:
+        """(u, v, depth) of places (3, n); u and v mean nothing where the depth is not positive."""
+        u, v, depth = (_dot(row, places) for row in self.pixel_from_place)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return u / depth, v / depth, depth
+
+    def may_see(self, middle: Floats, radius: float) -> bool:
+        """Whether a ball may be in the image."""
+        return bool((self.sides[:, :3] @ middle + self.sides[:, 3] >= -radius).all())
+
+    def sampling(self, places: Floats) -> Floats:
+        """Size of a pixel along a level surface at places (3, n), in the unit of the frame; infinite where seen
+        too steeply."""
+        x, y, z = (centre - place for centre, place in zip(self.centre, places, strict=True))
+        distance = np.sqrt(x * x + y * y + z * z)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sampling = distance**3 / (self.focal * z * z)
+        return np.where(z > _STEEPEST * distance, sampling, np.inf)
 
 
 class BestViews:
@@ -50,17 +69,9 @@ class BestViews:
     def __init__(self, workspace: Workspace, frame: Frame) -> None:
         """Raises InputError where the native model is missing or damaged."""
         cameras = read_native_scene(workspace).cameras
-        self._workspace, self._frame = workspace, frame
-        self._views = [
-            _View(
-                native,
-                camera := cameras[native.name],
-                frame.world(camera.centre[None])[0],
-                _sides(camera),
-            )
-            for native in workspace.natives
-            if native.name in cameras
-        ]
+        self._workspace, self._origin = workspace, frame.translation
+        natives = [native for native in workspace.natives if native.name in cameras]
+        self._views = [_make_view(native, cameras[native.name], frame) for native in natives]
 
     def colours(self, places: Floats) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
         """(RGB (n, 3), seen (n,)) of places (n, 3) of the frame that lie near each other.
@@ -68,31 +79,29 @@ class BestViews:
         Raises:
             InputError: a depth map or a sub-image is missing or damaged.
         """
-        model = self._frame.model(places)
-        choice = _Choice(len(places))
-        for number, sampling in self._candidates(places, model):
-            asked = np.flatnonzero((sampling <= choice.key[1]) & (sampling < np.inf))
+        places = np.ascontiguousarray((places - self._origin).T)
+        choice = _Choice(places.shape[1])
+        for best, number in self._candidates(places):
+            if best > choice.key[1].max():
+                break
+            view = self._views[number]
+            sampling = view.sampling(places)
+            asked = np.flatnonzero(sampling <= np.minimum(choice.key[1], _LARGEST))
             if len(asked) > 0:
-                kind = _kinds(self._workspace, self._views[number], model[asked])
+                kind = _kinds(self._workspace, view, places[:, asked])
                 choice.offer(asked, sampling[asked] + kind, number)
-        return self._mixed(model, choice)
+        return self._mixed(places, choice)
 
-    def _candidates(self, places: Floats, model: Floats) -> Iterator[tuple[int, Floats]]:
-        """Photographs that may see some of the places, the best first: (number, sampling (n,)), infinite where
-        seen too steeply."""
-        middle = (model.min(axis=0) + model.max(axis=0)) / 2
-        radius = np.sqrt(((model - middle) ** 2).sum(axis=1).max())
-        near = []
-        for number, view in enumerate(self._views):
-            in_camera = view.camera.in_camera(middle[None])[0]
-            if (view.sides @ in_camera >= -radius).all():
-                near.append((float(_sampling(view, places).min()), number))
-        for best, number in sorted(near):
-            if best < np.inf:
-                yield number, _sampling(self._views[number], places)
+    def _candidates(self, places: Floats) -> list[tuple[float, int]]:
+        """(best sampling, number) of the photographs that may see some of the places, in that order."""
+        low, high = places.min(axis=1), places.max(axis=1)
+        middle, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+        near = [n for n, view in enumerate(self._views) if view.may_see(middle, radius)]
+        found = [(float(self._views[number].sampling(places).min()), number) for number in near]
+        return sorted((best, number) for best, number in found if best < np.inf)
 
     def _mixed(
-        self, model: Floats, choice: _Choice
+        self, places: Floats, choice: _Choice
     ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
         """The colours of the best views, those of the second mixed in where both are nearly as good: no sharp
         seam."""
@@ -100,13 +109,13 @@ class BestViews:
         with np.errstate(invalid="ignore"):
             apart = np.minimum((next_best - best) / (_FEATHER * best), 1)
         weight = np.where(next_best < _EDGE_NEAR, 0.5 + 0.5 * apart, 1.0)
-        colours = np.zeros((len(model), 3))
+        colours = np.zeros((places.shape[1], 3))
         for number, view in enumerate(self._views):
             for chosen, share in ((first, weight), (second, 1 - weight)):
                 wanted = np.flatnonzero((chosen == number) & (share > 0))
                 if len(wanted) > 0:
-                    pixels = view.camera.project(model[wanted])
-                    colours[wanted] += share[wanted, None] * _sampled(self._workspace, view, pixels)
+                    colour = _sampled(self._workspace, view, places[:, wanted])
+                    colours[wanted] += share[wanted, None] * colour
         return (colours + 0.5).astype(np.uint8), np.isfinite(best)
 
 
@@ -134,48 +143,45 @@ class _Choice:
             self.view[rank, better_places] = number
 
 
-def _sides(camera: NativeCamera) -> Floats:
-    """Inward unit normals (4, 3) of the planes through the camera and the sides of its image."""
+def _make_view(native: NativeImage, camera: NativeCamera, frame: Frame) -> _View:
+    rotation = camera.cam_from_world[:, :3] @ frame.rotation.T / frame.scale
+    cam_from_place = np.column_stack([rotation, camera.cam_from_world[:, 3]])
     corners = np.array(
         [[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]]
     )
     rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(camera.intrinsics).T
-    normals = np.cross(rays, np.roll(rays, -1, axis=0))
-    sides: Floats = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    return sides
+    inward = np.cross(rays, np.roll(rays, -1, axis=0))
+    inward *= frame.scale / np.linalg.norm(inward, axis=1, keepdims=True)
+    return _View(
+        native,
+        float(camera.intrinsics[0, 0]),
+        frame.world(camera.centre[None])[0] - frame.translation,
+        camera.intrinsics @ cam_from_place,
+        inward @ cam_from_place,
+    )
 
 
-def _sampling(view: _View, places: Floats) -> Floats:
-    """Size of a pixel along a level surface, in the unit of the frame."""
-    towards = view.centre - places
-    distance = np.sqrt((towards**2).sum(axis=1))
-    cosine = towards[:, 2] / distance
-    steep = ~(cosine > _STEEPEST)
-    cosine[steep] = 1
-    sampling: Floats = distance / (view.focal * cosine**2)
-    sampling[steep] = np.inf
-    return sampling
+def _dot(row: Floats, places: Floats) -> Floats:
+    """Not by matrices: their sums depend on how many places there are."""
+    dot: Floats = row[0] * places[0] + row[1] * places[1] + row[2] * places[2] + row[3]
+    return dot
 
 
-def _kinds(workspace: Workspace, view: _View, model: Floats) -> Floats:
-    """How places (n, 3) of the model are seen: one of the three kinds, or infinite where they are not."""
-    kinds = np.full(len(model), np.inf)
-    in_camera = view.camera.in_camera(model)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pixels = in_camera @ view.camera.intrinsics.T
-        pixels = pixels[:, :2] / pixels[:, 2:]
-    size = [view.camera.width, view.camera.height]
-    inside = (in_camera[:, 2] > 0) & ((pixels >= 1) & (pixels < np.array(size) - 1)).all(axis=1)
-    seen = np.flatnonzero(inside)
+def _kinds(workspace: Workspace, view: _View, places: Floats) -> Floats:
+    """How places (3, n) are seen: one of the three kinds, or infinite where they are not."""
+    kinds = np.full(places.shape[1], np.inf)
+    u, v, depth = view.project(places)
+    right, bottom = view.native.width - 1, view.native.height - 1
+    seen = np.flatnonzero((depth > 0) & (u >= 1) & (u < right) & (v >= 1) & (v < bottom))
     if len(seen) == 0:
         return kinds
-    pixel, depth = pixels[seen].astype(np.int64), in_camera[seen, 2]
-    window = _window(pixel, _AROUND, view.native)
+    column, row, depth = u[seen].astype(np.int64), v[seen].astype(np.int64), depth[seen]
+    window = _window(column, row, _AROUND, view.native)
+    column, row = column - window.x0, row - window.y0
     stored = read_map_window(workspace, view.native, window, "depth")
     stored = np.where(stored > 0, stored, np.float32(np.inf))
-    column, row = (pixel - [window.x0, window.y0]).T
-    nearest = depth - _TOLERANCE * depth / view.focal
     at, around = stored[row, column], _least_around(stored)[row, column]
+    nearest = depth - _TOLERANCE * depth / view.focal
     kind = np.where(around == np.inf, _UNKNOWN, _NOTHING_NEAR)
     in_front = around < nearest
     kind[in_front] = np.where((at >= nearest) & (at < np.inf), _EDGE_NEAR, np.inf)[in_front]
@@ -208,22 +214,23 @@ def _usable(workspace: Workspace, native: NativeImage, window: Rectangle) -> npt
     return usable & ~read_mask_window(workspace, native.name, window)
 
 
-def _sampled(workspace: Workspace, view: _View, pixels: Floats) -> Floats:
-    """RGB (n, 3) at pixels (n, 2), bilinear."""
-    corner = np.floor(pixels - 0.5).astype(np.int64)
-    fraction = pixels - 0.5 - corner
-    window = _window(corner, 1, view.native)
+def _sampled(workspace: Workspace, view: _View, places: Floats) -> Floats:
+    """RGB (n, 3) at places (3, n) that are seen, bilinear."""
+    u, v, _ = view.project(places)
+    column, row = np.floor(u - 0.5).astype(np.int64), np.floor(v - 0.5).astype(np.int64)
+    right, down = (u - 0.5 - column)[:, None], (v - 0.5 - row)[:, None]
+    window = _window(column, row, 1, view.native)
     photograph = read_window(workspace, view.native.name, window, "color")
-    column, row = (corner - [window.x0, window.y0]).T
-    u, v = fraction[:, 0, None], fraction[:, 1, None]
-    above = (1 - u) * photograph[row, column] + u * photograph[row, column + 1]
-    below = (1 - u) * photograph[row + 1, column] + u * photograph[row + 1, column + 1]
-    colours: Floats = (1 - v) * above + v * below
+    column, row = column - window.x0, row - window.y0
+    above = (1 - right) * photograph[row, column] + right * photograph[row, column + 1]
+    below = (1 - right) * photograph[row + 1, column] + right * photograph[row + 1, column + 1]
+    colours: Floats = (1 - down) * above + down * below
     return colours
 
 
-def _window(pixels: npt.NDArray[np.int64], margin: int, native: NativeImage) -> Rectangle:
+def _window(column: Indices, row: Indices, margin: int, native: NativeImage) -> Rectangle:
     """The pixels around some, as far as they are in the image."""
-    (x0, y0), (x1, y1) = pixels.min(axis=0), pixels.max(axis=0) + 1
-    around = Rectangle.from_corners(int(x0), int(y0), int(x1), int(y1)).padded(margin)
-    return around.intersection(native.rectangle)
+    around = Rectangle.from_corners(
+        int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1
+    )
+    return around.padded(margin).intersection(native.rectangle)

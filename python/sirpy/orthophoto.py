@@ -53,7 +53,7 @@ def orthophoto(
     lattice = check_options(cloud, resolution, fill, tiles)
     parts = max(1, round(lattice.cell / cloud.gsd)) if cloud.gsd > 0 else 1
     path = workspace.orthophoto
-    with scratch_folder(path) as folder:
+    with scratch_folder(path, "blocks") as folder:
         fine = Lattice(lattice.cell / parts)
         heights = find_heights(cloud, fine, fill, folder, progress)
         views = BestViews(workspace, cloud.frame)

@@ -34,10 +34,10 @@ _Read = Callable[[Rectangle], NDArray[Any]]
 
 
 @contextmanager
-def scratch_folder(product: Path) -> Iterator[Path]:
-    """A folder beside a product for what it is made of; removed at the end, and after a crash with the product's
-    other unfinished files."""
-    folder = product.with_name(f".{product.stem}.{os.getpid()}.tmp")
+def scratch_folder(product: Path, what: str) -> Iterator[Path]:
+    """A folder beside a product for what it is made of; removed at the end, and after a crash with other unfinished
+    files (sirpy.workspace)."""
+    folder = product.with_name(f".{product.stem}.{what}.{os.getpid()}.tmp")
     try:
         yield folder
     finally:
@@ -130,7 +130,7 @@ def _write(path: Path, store: BlockStore, frame: Frame, window: Rectangle, read:
     from rasterio import shutil as copying
     from rasterio.errors import NotGeoreferencedWarning
 
-    with written_whole(path) as temporary, scratch_folder(temporary) as folder:
+    with written_whole(path) as temporary, scratch_folder(path, "plain") as folder:
         folder.mkdir()
         plain, optimised = folder / "plain.tif", folder / "optimised.tif"
         with (

@@ -50,7 +50,7 @@ def surface_model(
     cloud = open_cloud(workspace)
     lattice = check_options(cloud, resolution, fill, tiles)
     path = workspace.surface_model
-    with scratch_folder(path) as folder:
+    with scratch_folder(path, "blocks") as folder:
         heights = find_heights(cloud, lattice, fill, folder, progress)
         progress.note(
             f"surface model: {heights.window.width} x {heights.window.height} cells of "
@@ -93,7 +93,7 @@ def find_heights(
     options.thickness = max(_THICKNESS * cloud.gsd, lattice.cell)
     store = BlockStore(folder / "heights", lattice, block_side(cloud, lattice), 1, _HEIGHT)
     around = lattice.around(cloud.low[0], cloud.low[1], cloud.high[0], cloud.high[1])
-    blocks = list(aligned_blocks(around, store.side))
+    blocks = list(aligned_blocks(around.padded(options.margin), store.side))
     with progress.stage("surface", len(blocks), "block") as steps:
         for block in blocks:
             points = cloud.inside(*lattice.box(block.padded(options.margin)))
