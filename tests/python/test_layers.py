@@ -32,7 +32,7 @@ LAYERS = """
     similarity local_frame point_tables places camera_positions ground_control alignment aligning
     georeference tiles products
     laz point_selection cloud_files tiles3d tiles3d_worker
-    overview cloud_picture explaining html_report
+    overview cloud_picture explaining residual_plot survey_pictures survey_report html_report
     deliverables pipeline demo plan_table
     weights_cli georeference_cli tiles3d_cli cli __main__
 """
