@@ -22,7 +22,8 @@ from sirpy.workspace import Workspace
 _TOLERANCE = 6  # pixels' size at the place: what a depth map may differ by
 _AROUND = 2  # pixels: something in front that near may show at the place too
 _STEEPEST = 0.2  # least cosine of the angle from the nadir
-_FEATHER = 0.002  # relative difference of two samplings, up to which their colours are mixed
+_FEATHER = 5  # pixels on each side of a seam, over which colours are mixed
+_SHARP = 1e-9
 # Added to a sampling, so that any view of a better kind goes before.
 _NOTHING_NEAR = 0.0
 _EDGE_NEAR = 1e6
@@ -72,6 +73,7 @@ class BestViews:
         self._workspace, self._origin = workspace, frame.translation
         natives = [native for native in workspace.natives if native.name in cameras]
         self._views = [_make_view(native, cameras[native.name], frame) for native in natives]
+        self._centres = np.array([view.centre for view in self._views]).reshape(-1, 3)
 
     def colours(self, places: Floats) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
         """(RGB (n, 3), seen (n,)) of places (n, 3) of the frame that lie near each other.
@@ -106,9 +108,14 @@ class BestViews:
         """The colours of the best views, those of the second mixed in where both are nearly as good: no sharp
         seam."""
         (first, second), (best, next_best) = choice.view, choice.key
-        with np.errstate(invalid="ignore"):
-            apart = np.minimum((next_best - best) / (_FEATHER * best), 1)
-        weight = np.where(next_best < _EDGE_NEAR, 0.5 + 0.5 * apart, 1.0)
+        weight = np.ones(places.shape[1])
+        mixed = np.flatnonzero(next_best < _EDGE_NEAR)
+        if len(mixed) > 0:
+            one, other = self._centres[first[mixed]].T, self._centres[second[mixed]].T
+            # How fast two samplings of one height part, across the line where they are equal.
+            slope = 3 * np.hypot(*(one - other)[:2]) / (one[2] - places[2, mixed]) ** 2
+            fade = np.maximum(_FEATHER * best[mixed] * slope, _SHARP)
+            weight[mixed] = 0.5 + 0.5 * np.minimum((next_best[mixed] / best[mixed] - 1) / fade, 1)
         colours = np.zeros((places.shape[1], 3))
         for number, view in enumerate(self._views):
             for chosen, share in ((first, weight), (second, 1 - weight)):
