@@ -159,11 +159,25 @@ def test_coarse_cells_are_means(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert np.abs(colours[inner, :3].astype(float) - 100).max() < 25
 
 
-def test_a_missing_depth_map_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_depth_map_other_photographs_show_the_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing would say what hides the ground in it."""
     workspace, cloud = photographed_house(tmp_path, AROUND)
-    _, sub_image = next(iter(workspace.sub_images()))
-    workspace.depth_map(sub_image, "geometric").unlink()
-    with pytest.raises(InputError, match=r"1_r00_c00\.png.*: run the stereo again"):
+    whole, _ = made(monkeypatch, workspace, cloud)
+    middle = [sub for native, sub in workspace.sub_images() if native.name == "2.png"]
+    for sub_image in middle:
+        workspace.depth_map(sub_image, "geometric").unlink()
+    notes = Notes()
+    colours, places = made(monkeypatch, workspace, cloud, progress=notes)
+    assert any("without sub-images that have no sound depth map: 2_r00" in n for n in notes.notes)
+    seen = (colours[:, 3] == 255) & (beyond_wall(places) > 2 * GSD)
+    assert is_ground(colours[seen], places[seen]).all()
+    assert 0.8 < seen.sum() / (whole[:, 3] == 255).sum() < 1
+    for _, sub_image in workspace.sub_images():
+        workspace.depth_map(sub_image, "geometric").unlink(missing_ok=True)
+    workspace.orthophoto.unlink()
+    with pytest.raises(InputError, match="no depth map that can be used"):
         made(monkeypatch, workspace, cloud)
     assert not workspace.orthophoto.exists()
     assert not list(workspace.folder.glob(".*"))

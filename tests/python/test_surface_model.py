@@ -206,12 +206,12 @@ def test_clouds_of_nothing_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert not (tmp_path / "out").exists()
 
 
-def test_without_a_cloud_the_command_says_what_to_run(tmp_path: Path) -> None:
+def test_without_a_workspace_the_command_says_one_sentence(tmp_path: Path) -> None:
     for command in ("dsm", "ortho"):
         line = [sys.executable, "-m", "sirpy", command, str(tmp_path / "nothing")]
         done = subprocess.run(line, capture_output=True, text=True)
         assert done.returncode == 2
-        assert len(done.stderr.splitlines()) == 1 and "run `sirpy fuse` first" in done.stderr
+        assert len(done.stderr.splitlines()) == 1 and "nothing" in done.stderr
 
 
 def test_memory_does_not_grow_with_the_cells(tmp_path: Path) -> None:
