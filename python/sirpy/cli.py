@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sirpy import weights_cli
+from sirpy import mesh_cli, weights_cli
 from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
 
@@ -29,6 +29,7 @@ app = typer.Typer(
     context_settings={"token_normalize_func": lambda token: token.replace("_", "-")},
 )
 app.add_typer(weights_cli.app, name="weights")
+app.command()(mesh_cli.mesh)
 
 Images = Annotated[Path, typer.Argument(help="Folder of photographs.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder of the workspace.")]

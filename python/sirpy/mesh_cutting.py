@@ -86,9 +86,7 @@ def _cut_at(mesh: TileMesh, side: int, begin: Floats, end: Floats, snap: float) 
     return _chosen(mesh, None, np.concatenate([mesh.faces[kept], pieces]))
 
 
-def _crossed(
-    mesh: TileMesh, faces: Indices, height: Floats, side: int
-) -> tuple[TileMesh, Indices]:
+def _crossed(mesh: TileMesh, faces: Indices, height: Floats, side: int) -> tuple[TileMesh, Indices]:
     """The mesh with new vertices where the edges of `faces` cross the plane, and the inner parts of `faces`."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     edges = np.sort(edges, axis=1)  # both triangles of an edge cut it by the same sum
@@ -96,9 +94,8 @@ def _crossed(
     unique, which = np.unique(edges[cuts], axis=0, return_inverse=True)
     first, second = unique.T
     part = height[first] / (height[first] - height[second])
-    new = np.full(len(edges), -1)
-    new[cuts] = len(mesh.positions) + which.reshape(-1)
-    new = new.reshape(-1, 3)
+    on_edge = np.full(len(edges), -1)
+    on_edge[cuts] = len(mesh.positions) + which.reshape(-1)
 
     def between(values: Floats) -> Floats:
         mixed: Floats = values[first] + part[:, None] * (values[second] - values[first])
@@ -115,7 +112,7 @@ def _crossed(
         np.concatenate([mesh.sides, sides]),
         mesh.faces,
     )
-    return grown, _inner_parts(faces, new, height)
+    return grown, _inner_parts(faces, on_edge.reshape(-1, 3), height)
 
 
 def _inner_parts(faces: Indices, new: Indices, height: Floats) -> Indices:
@@ -123,7 +120,7 @@ def _inner_parts(faces: Indices, new: Indices, height: Floats) -> Indices:
     parts = [np.empty((0, 3), np.int64)]
     for corner in range(3):
         a, b, c = (np.roll(faces, -corner, axis=1)[:, i] for i in range(3))
-        ab, bc, ca = (np.roll(new, -corner, axis=1)[:, i] for i in range(3))
+        ab, ca = (np.roll(new, -corner, axis=1)[:, i] for i in (0, 2))
         ha, hb, hc = height[a], height[b], height[c]
         alone = (ha > 0) & (hb < 0) & (hc < 0)
         parts.append(np.column_stack([a, ab, ca])[alone])

@@ -194,7 +194,7 @@ class _Newcomer:
                 self.numbers[vertex] = border.numbers[ends[int(place.part)]]
             else:
                 self._same[vertex] = on_edges[place.edge].setdefault(place.part, vertex)
-                self.vertices[vertex] = _between(*border.vertices[ends], place.part)
+                self.vertices[vertex] = _between(border.vertices[ends], place.part)
         for edge, parts in on_edges.items():
             inside = [parts[part] for part in sorted(parts)]
             self._into.append((border.faces, int(border.places[edge]), inside))
@@ -248,9 +248,10 @@ def _plane(vertices: npt.NDArray[Any], line: _Line) -> Floats:
     return np.column_stack([(xy - begin) @ along, vertices["z"]])
 
 
-def _between(begin: np.void, end: np.void, part: float) -> np.void:
-    """A vertex of VERTEX at a part of the way."""
-    middle = begin.copy()
+def _between(ends: npt.NDArray[Any], part: float) -> npt.NDArray[Any]:
+    """A vertex of VERTEX at a part of the way between two."""
+    begin, end = ends
+    middle: npt.NDArray[Any] = ends[0].copy()
     for name in VERTEX.names or ():
         value = (1 - part) * float(begin[name]) + part * float(end[name])
         middle[name] = round(value) if VERTEX[name].kind == "u" else value

@@ -11,6 +11,7 @@ from bisect import bisect_right, insort
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -82,7 +83,9 @@ def match(
             worst = max(steps[run.begin].distance, steps[run.end].distance)
             links.append((worst, chain, run))
     links.sort(key=lambda link: link[0])
-    laid: dict[int, tuple[int, float]] = {}  # vertex of the second: chain of the first, and place on it
+    laid: dict[
+        int, tuple[int, float]
+    ] = {}  # vertex of the second: chain of the first, and place on it
     for _, chain, run in links:
         _lay(run, chain, ours[run.chain], ground, laid, found)
     return found
@@ -180,7 +183,7 @@ def _runs(steps: Sequence[_Step], chain: Chain, ours: Sequence[Chain]) -> list[_
         for index in _ahead(steps, number, ours[number])
     )
     runs = []
-    for begin, end in zip(kept, kept[1:], strict=False):
+    for begin, end in pairwise(kept):
         from_step, to_step = steps[begin], steps[end]
         number = from_step.chain
         if number != to_step.chain or to_step.place < from_step.place:
@@ -238,7 +241,8 @@ def _lay(
         chain.along[run.end] - chain.along[run.begin], 1e-30
     )
     places = [
-        _snapped(run.from_place + float(one) * (run.to_place - run.from_place), ours) for one in part
+        _snapped(run.from_place + float(one) * (run.to_place - run.from_place), ours)
+        for one in part
     ]
     for vertex, place in zip(vertices, places, strict=True):
         if laid.get(vertex, (run.chain, place)) != (run.chain, place):
@@ -249,7 +253,7 @@ def _lay(
         laid[vertex] = run.chain, place
         edge = min(int(place), len(ours.edges) - 1)
         found.places[vertex] = Place(int(ours.edges[edge]), place - edge)
-    for index, (begin, end) in enumerate(zip(places, places[1:], strict=False)):
+    for index, (begin, end) in enumerate(pairwise(places)):
         between = range(int(begin) + 1, int(np.ceil(end)))
         edge = int(chain.edges[run.begin + index])
         found.inserts[edge] = [int(ours.vertices[k]) for k in between]
@@ -277,13 +281,13 @@ def _chains(points: Floats, edges: Indices) -> list[Chain]:
     seen: set[int] = set()
     chains = []
     for start in [*starts, *range(len(edges))]:
-        chain = []
-        edge: int | None = start
-        while edge is not None and edge not in seen:
-            seen.add(edge)
-            chain.append(edge)
-            end = int(edges[edge, 1])
-            edge = out[end][0] if end in through else None
+        chain: list[int] = []
+        following: int | None = start
+        while following is not None and following not in seen:
+            seen.add(following)
+            chain.append(following)
+            end = int(edges[following, 1])
+            following = out[end][0] if end in through else None
         if chain:
             vertices = np.append(edges[chain, 0], edges[chain[-1], 1])
             lengths = np.hypot(*np.diff(points[vertices], axis=0).T)

@@ -6,8 +6,8 @@ COLMAP's Poisson (Kazhdan and Hoppe, "Screened Poisson Surface Reconstruction", 
 cannot solve and keeps what it has allocated; and its threads add in any order. Alone, with one thread, it does
 neither harm, and its result is the same each time.
 
-The octree's cube is the same for all tiles: two points far out in opposite corners hold it open, so that the cells
-of all tiles have the same size whatever part of them has points.
+Two points far out in opposite corners hold the octree's cube open, so that the cells of all tiles have the same size
+whatever part of them has points.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _POINT = np.dtype(
     + [(name, "u1") for name in ("red", "green", "blue")]
 )
 
-_CUBE = 1.1  # the octree's, in widths of the box around the points: PoissonRecon's own
+CUBE = 1.1  # the octree's, in widths of the box around the points: PoissonRecon's own
 _DEEPEST = 16
 # Bytes at the peak; measured with pycolmap 4.0.4 at depths 8 to 10: 80 MB of a process that has imported it, and
 # of 0.5 kB (Poisson) to 0.7 kB (simplification) per triangle, of which a square of the ground as wide as a cell
@@ -50,7 +50,10 @@ _PROCESS, _CELL, _PER_POINT = 0.1e9, 2300, 200
 
 @dataclass(frozen=True)
 class TileTask:
-    """What the process is asked. The folder of `points` is its own to work in; `points` are relative to `origin`, in float32; lengths in the frame's unit."""
+    """What the process is asked; lengths in the frame's unit.
+
+    `points` are float32, relative to `origin`; their folder is the process's own to work in.
+    """
 
     points: Path
     origin: tuple[float, float, float]
@@ -118,10 +121,11 @@ def run_alone(task: TileTask, task_file: Path) -> str | None:
 def solve(task: TileTask) -> None:
     """Points to the piece of the mesh within the tile."""
     points = read_vertices(task.points)
-    surface = _poisson(task, points)
-    surface = _supported(surface, _xyz(points), task)
-    surface = _simplified(surface, task)
-    write_piece(task.vertices, task.faces, _finished(surface, points, task))
+    surface = _supported(_poisson(task, points), _xyz(points), task)
+    mesh = no_mesh()
+    if len(surface[1]):
+        mesh = _finished(_simplified(surface, task), points, task)
+    write_piece(task.vertices, task.faces, mesh)
 
 
 def write_piece(vertices: Path, faces: Path, mesh: TileMesh) -> None:
@@ -134,6 +138,18 @@ def write_piece(vertices: Path, faces: Path, mesh: TileMesh) -> None:
     written["sides"] = mesh.sides
     write_npy(vertices, written)
     write_npy(faces, mesh.faces.astype("<i4"))
+
+
+def no_mesh() -> TileMesh:
+    """What a tile without a surface has."""
+    nothing = np.empty((0, 3))
+    return TileMesh(
+        nothing,
+        nothing.astype(np.float32),
+        nothing.astype(np.uint8),
+        np.empty(0, np.uint8),
+        nothing.astype(np.int64),
+    )
 
 
 def read_piece(vertices: Path, faces: Path) -> TileMesh:
@@ -154,24 +170,23 @@ def read_piece(vertices: Path, faces: Path) -> TileMesh:
 _NO_FACES = np.empty((0, 3), np.int64)
 _PLACE = np.dtype([(name, "<f4") for name in "xyz"])
 
-Surface = tuple[npt.NDArray[np.float32], Indices]  # positions around the origin (n, 3), faces (m, 3)
+Surface = tuple[
+    npt.NDArray[np.float32], Indices
+]  # positions around the origin (n, 3), faces (m, 3)
 
 
 def _poisson(task: TileTask, points: Points) -> Surface:
     import pycolmap
 
     low, high = _xyz(points).min(axis=0), _xyz(points).max(axis=0)
-    corners = np.array(task.corners) - task.origin[:2]
-    low[:2] = np.minimum(low[:2], corners.min(axis=0))
-    high[:2] = np.maximum(high[:2], corners.max(axis=0))
-    depth = int(np.ceil(np.log2(_CUBE * (high - low).max() / task.cell)))
+    depth = int(np.ceil(np.log2(CUBE * (high - low).max() / task.cell)))
     if depth > _DEEPEST:
         raise InputError(
             f"its points lie {(high - low).max():g} apart, too far for cells of {task.cell:g}: "
             "remove what lies far off, or choose a larger --resolution"
         )
     depth = max(depth, 5)
-    half = task.cell * 2**depth / _CUBE / 2
+    half = task.cell * 2**depth / CUBE / 2
     ends = np.zeros(2, _POINT)
     for axis, middle in zip("xyz", (low + high) / 2, strict=True):
         ends[axis] = middle - half, middle + half
@@ -198,7 +213,7 @@ def _supported(surface: Surface, points: npt.NDArray[np.float32], task: TileTask
 
 def _simplified(surface: Surface, task: TileTask) -> Surface:
     """By quadric errors (Garland and Heckbert, 1997), of at most one cell."""
-    if task.keep == 1 or not len(surface[1]):
+    if task.keep == 1:
         return surface
     import pycolmap
 
@@ -209,7 +224,12 @@ def _simplified(surface: Surface, task: TileTask) -> Surface:
         target_face_ratio=task.keep, max_error=task.cell**2, num_threads=1
     )
     pycolmap.simplify_mesh(fine, coarse, options)
-    return _compact(*_read_surface(coarse))
+    vertices, faces = _read_surface(coarse)
+    # Where it has folded a part of the surface onto itself, two triangles have the same corners.
+    _, which, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    return _compact(vertices, faces[count[which.reshape(-1)] == 1])
 
 
 def _finished(surface: Surface, points: Points, task: TileTask) -> TileMesh:

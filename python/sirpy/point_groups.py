@@ -23,9 +23,12 @@ class PointGroups:
     def __init__(
         self, points: npt.NDArray[np.floating], values: npt.NDArray[np.generic], size: float
     ) -> None:
-        """Takes points (n, 3), not all too far from each other (a million boxes), and values (n, k)."""
+        """Takes points (n, 3), not all too far from each other (a million boxes), and values (n, k).
+
+        The lattice has a node at the origin, whatever the points are.
+        """
         self._size = size
-        self._low = points.min(axis=0).astype(np.float64)
+        self._low = np.floor(points.min(axis=0) / size).astype(np.int64)
         self._keys, group, count = np.unique(
             self._key(self._box(points)), return_inverse=True, return_counts=True
         )
@@ -54,8 +57,8 @@ class PointGroups:
         return found, distance
 
     def _box(self, points: npt.NDArray[np.floating]) -> Indices:
-        boxes: Indices = np.floor((points - self._low) / self._size).astype(np.int64)
-        return np.clip(boxes, -2, _AXIS - 3)
+        boxes: Indices = np.floor(points / self._size).astype(np.int64) - self._low
+        return np.clip(boxes, -2, _AXIS - 4)
 
     @staticmethod
     def _key(boxes: Indices) -> Indices:
