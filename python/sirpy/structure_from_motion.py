@@ -13,11 +13,9 @@ Another version of pycolmap or another processor may differ.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import shutil
-import signal
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,6 +24,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from sirpy.child_process import serve
 from sirpy.errors import InputError
 from sirpy.exif import Exif, read_exif
 from sirpy.self_calibration import adjust
@@ -296,21 +295,10 @@ def _write(model: pycolmap.Reconstruction, folder: Path) -> None:
     os.replace(temporary, folder)
 
 
-def _die_with(parent: int) -> None:
-    """Ends this process with the one that started it, even when that was killed with SIGKILL."""
-    pr_set_pdeathsig = 1
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
-    if os.getppid() != parent:
-        sys.exit(1)
-
-
 def main() -> None:
     """TASK.json, the descriptor of the pipe to the caller, and the caller's process id."""
-    _die_with(int(sys.argv[3]))
-    # glog's handlers may hang in an abort; its log files in /tmp would stay behind.
-    for number in (signal.SIGABRT, signal.SIGSEGV, signal.SIGTERM, signal.SIGBUS, signal.SIGFPE):
-        signal.signal(number, signal.SIG_DFL)
+    serve(int(sys.argv[3]))
+    # glog's log files in /tmp would stay behind.
     pycolmap.logging.logtostderr = True
     report = _Report(int(sys.argv[2]))
     try:

@@ -16,6 +16,7 @@ OUT/fused.ply, OUT/cloud.png, OUT/report.html, OUT/run.json
 OUT/georeference.json    where on the Earth the model lies, when asked for
 OUT/fused.laz, OUT/cloud.ply, OUT/dsm.tif, OUT/ortho.tif, OUT/mesh.ply, OUT/mesh.glb, OUT/tiles3d/
                          products, when asked for; OUT/tiles/: what is made of them tile by tile
+OUT/mesh-pieces/         the surfaces of single tiles that the mesh was joined of
 
 For other engines, on request (they number the sub-images):
 OUT/cams/, OUT/pair.txt, OUT/images/00000000.jpg ...   MVSNet and its relatives
@@ -89,6 +90,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "ortho.tif",
         "mesh.ply",
         "mesh.glb",
+        "mesh-pieces",
         "tiles3d",
         "tiles",
     ),
@@ -308,8 +310,15 @@ class Workspace:
 
     @property
     def mesh(self) -> Path:
-        """The mesh as PLY; the same as GLB beside it."""
         return self.folder / "mesh.ply"
+
+    @property
+    def mesh_glb(self) -> Path:
+        return self.folder / "mesh.glb"
+
+    def mesh_pieces(self, fingerprint: str) -> Path:
+        """The surfaces of single tiles that a mesh of these options is joined of."""
+        return self.folder / "mesh-pieces" / fingerprint
 
     @property
     def tiles3d(self) -> Path:
