@@ -188,7 +188,8 @@ class _Fusion:
 
 def _blocks(core: Rectangle) -> Iterator[Rectangle]:
     """Even parts of a core, row by row."""
-    grid = Grid(*(max(1, round(side / _BLOCK)) for side in (core.width, core.height)))
+    columns, rows = (max(1, round(side / _BLOCK)) for side in (core.width, core.height))
+    grid = Grid(columns, rows)
     for _, _, block in grid.tiles(core):
         yield block
 
