@@ -428,7 +428,7 @@ def fuse(
     quiet: Quiet = False,
 ) -> None:
     """The depth maps as one cloud; those of a dense workspace that COLMAP made, too."""
-    from sirpy.cloud_files import export_cloud
+    from sirpy.cloud_files import check_format, export_cloud
     from sirpy.colmap_dense import open_workspace
     from sirpy.fusion import FusionOptions
     from sirpy.fusion import fuse as run
@@ -442,6 +442,8 @@ def fuse(
     )
     if format is None and (tiles or spacing is not None):
         raise InputError("--tiles and --spacing belong to --format: give --format laz or ply too")
+    if format is not None:
+        check_format(format)
     folder, progress = open_workspace(workspace), make_progress(quiet)
     made = run(folder, options=options, progress=progress)
     print(f"cloud: {folder.fused} ({made.points:,} points)")

@@ -40,8 +40,7 @@ def export_cloud(
         InputError: there is no cloud, or an option is not possible.
         OutputError: a file cannot be written.
     """
-    if format not in _WRITERS:
-        raise InputError(f"--format {format} is not known: choose {' or '.join(_WRITERS)}")
+    check_format(format)
     progress = progress or Progress()
     cloud = open_cloud(workspace)
     selection = PointSelection(cloud, spacing)
@@ -69,6 +68,12 @@ def export_cloud(
         f"{format}: {len(made)} tiles" + (f", {empty} more have no points" if empty else "")
     )
     return made
+
+
+def check_format(format: str) -> None:
+    """Raises InputError unless a cloud can be written so."""
+    if format not in _WRITERS:
+        raise InputError(f"--format {format} is not known: choose {' or '.join(_WRITERS)}")
 
 
 def write_ply(path: Path, cloud: Cloud, points: Iterator[Points]) -> int:

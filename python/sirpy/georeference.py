@@ -78,6 +78,7 @@ def georeference(
     _check_sources(images, positions, control_points, marks, as_is)
     if max_residual is not None and not 0 < max_residual < float("inf"):
         raise InputError(f"--max-residual {max_residual:g} is not possible: it must be positive")
+    _ = workspace.natives  # is this a workspace?
     scene = read_native_scene(workspace)
     if as_is:
         frame = Frame(None if crs is None else ground_crs(crs, "--crs"))

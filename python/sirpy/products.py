@@ -15,8 +15,8 @@ def open_cloud(workspace: Workspace) -> Cloud:
     Raises:
         InputError: there is no complete cloud, or a part of it is damaged.
     """
-    frame = read_frame(workspace)
     parts = fused_parts(workspace)
+    frame = read_frame(workspace)
     place = [frame.crs, frame.scale, frame.rotation.tolist(), frame.translation.tolist()]
     workspace.begin_stage("products", fingerprint(workspace.fingerprint_of("fuse"), place))
     return Cloud(parts, frame)
