@@ -300,15 +300,28 @@ class DepthView:
 def fuse(
     reference: DepthView,
     normal: NDArray[np.float32],
+    color: NDArray[np.uint8],
+    confidence: NDArray[np.float32] | None,
     sources: Sequence[DepthView | None],
     *,
     block_side: int,
     allowed: NDArray[np.uint32],
     options: FusionOptions,
-) -> tuple[
-    NDArray[np.float64], NDArray[np.float32], NDArray[np.int64], NDArray[np.uint8], int, int
-]:
-    """(positions, normals, pixels, views that agree, inconsistent pixels, yielded pixels)."""
+) -> tuple[NDArray[np.uint8], tuple[int, int, int, int]]:
+    """(the bytes of the points, as cloud.POINT; pixels that are (invalid, inconsistent, seen through,
+    yielded))."""
+
+NORMAL_REACH: int  # pixels around a window that its normals depend on
+
+def normals_of_depth(
+    depth: NDArray[np.float32],
+    *,
+    intrinsics: NDArray[np.float64],
+    x0: int,
+    y0: int,
+    threads: int = 0,
+) -> NDArray[np.float32]:
+    """(3, height, width) of a window at (x0, y0), of a map with NORMAL_REACH more pixels on each side."""
 
 # ---- synthetic scenes (sirpy.synthetic, sirpy.truth)
 

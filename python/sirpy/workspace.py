@@ -171,6 +171,11 @@ class Workspace:
         return self.folder / "views.json"
 
     @property
+    def has_views(self) -> bool:
+        """Whether view selection belongs to it, rather than maps of another program."""
+        return True
+
+    @property
     def stereo(self) -> Path:
         return self.folder / "stereo"
 
@@ -266,6 +271,11 @@ class Workspace:
     def explanation(self, name: str) -> Path:
         """A picture of what stereo found in a sub-image or a native image."""
         return self.folder / "explained" / f"{name}.png"
+
+    @property
+    def fused_parts(self) -> Path:
+        """Which sub-images have given points, written when all have."""
+        return self.folder / "fusion" / "parts.json"
 
     def fused_part(self, sub_image: SubImage) -> Path:
         return self.folder / "fusion" / f"{sub_image.name}.npy"

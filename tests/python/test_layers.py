@@ -10,7 +10,7 @@ import sirpy
 PACKAGE = Path(sirpy.__file__).parent
 # Each line may import from the lines above it, and from modules to its left.
 LAYERS = """
-    engine_options errors files memory npy rectangle resources
+    engine_options errors crs files memory npy rectangle resources
     native_images workspace progress
     weights
     _core
@@ -27,13 +27,14 @@ LAYERS = """
     cmp_mvs mvsnet pmvs colmap_workspace
     exporting
     undistorter_options sir_undistorter colmap_launcher
-    frame cloud
+    frame cloud depth_maps colmap_dense
     fusion
+    similarity local_frame point_tables places camera_positions ground_control alignment aligning
     georeference tiles products
     laz point_selection cloud_files tiles3d tiles3d_worker
     overview cloud_picture explaining html_report
-    pipeline demo plan_table
-    weights_cli tiles3d_cli cli __main__
+    deliverables pipeline demo plan_table
+    weights_cli georeference_cli tiles3d_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
