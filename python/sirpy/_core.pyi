@@ -323,6 +323,42 @@ def normals_of_depth(
 ) -> NDArray[np.float32]:
     """(3, height, width) of a window at (x0, y0), of a map with NORMAL_REACH more pixels on each side."""
 
+# ---- the surface model (sirpy.surface_model)
+
+class SurfaceOptions:
+    """Units and bounds: cpp/src/surface_model.h."""
+
+    cell: float
+    reach: float
+    thickness: float
+    share: float
+    near: float
+    support: int
+    def __init__(self) -> None: ...
+    @property
+    def margin(self) -> int:
+        """Cells around a window whose points count in it."""
+    def validate(self) -> None:
+        """ValueError names field, value and bound."""
+
+def surface_heights(
+    points: NDArray[np.void],
+    *,
+    column: int,
+    row: int,
+    width: int,
+    height: int,
+    options: SurfaceOptions,
+) -> NDArray[np.float32]:
+    """Heights (height, width) of a window of the lattice; NaN where there is none. points: of
+    sirpy.cloud.POINT. Releases the GIL."""
+
+def fill_gaps(
+    heights: NDArray[np.float32], *, longest: float, cell: float, step: float
+) -> NDArray[np.float32]:
+    """The same heights, gaps of at most `longest` cells filled from their lower side; `cell` and
+    `step` in the unit of the heights. Releases the GIL."""
+
 # ---- synthetic scenes (sirpy.synthetic, sirpy.truth)
 
 class Surface:

@@ -10,11 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-<<<<<<< HEAD
-from sirpy import tiles3d_cli, weights_cli
-=======
-from sirpy import georeference_cli, weights_cli
->>>>>>> origin/HEAD
+from sirpy import georeference_cli, rasters_cli, tiles3d_cli, weights_cli
 from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
 
@@ -33,11 +29,9 @@ app = typer.Typer(
     context_settings={"token_normalize_func": lambda token: token.replace("_", "-")},
 )
 app.add_typer(weights_cli.app, name="weights")
-<<<<<<< HEAD
-tiles3d_cli.register(app)
-=======
 georeference_cli.register(app)
->>>>>>> origin/HEAD
+app.add_typer(rasters_cli.app)
+tiles3d_cli.register(app)
 
 Images = Annotated[Path, typer.Argument(help="Folder of photographs.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder of the workspace.")]

@@ -56,7 +56,7 @@ class Cloud:
                 self._first.append(first)
                 lows.append(xyz.min(axis=0))
                 highs.append(xyz.max(axis=0))
-                gsds.append(float(np.median(run["gsd"])) * frame.scale)
+                gsds.append(float(np.median(run["gsd"])))
         self._low, self._high = np.array(lows).reshape(-1, 3), np.array(highs).reshape(-1, 3)
         nowhere = np.zeros(3)
         self.low: Floats = self._low.min(axis=0) if lows else nowhere

@@ -32,9 +32,10 @@ LAYERS = """
     similarity local_frame point_tables places camera_positions ground_control alignment aligning
     georeference tiles products
     laz point_selection cloud_files tiles3d tiles3d_worker
+    lattice block_store raster_files surface_model best_views orthophoto
     overview cloud_picture explaining html_report
     deliverables pipeline demo plan_table
-    weights_cli georeference_cli tiles3d_cli cli __main__
+    weights_cli georeference_cli rasters_cli tiles3d_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
