@@ -11,19 +11,22 @@ namespace sirpy {
 // nearest pixel's value where the four are more than 1 % apart: interpolating across an edge would
 // invent depths.
 static inline float InterpolatedInverseDepth(const float* rho, int width, float x, float y) {
+  // Without branches, for loops whose pixels fill lanes.
   const int ix = int(x), iy = int(y);
   const float fx = x - float(ix), fy = y - float(iy);
-  const float* upper = rho + int64_t(iy) * width + ix;
-  const float* lower = upper + width;
-  const float nearest = fy < 0.5f ? upper[fx >= 0.5f] : lower[fx >= 0.5f];
+  const int64_t first = int64_t(iy) * width + ix;
+  const float a = rho[first], b = rho[first + 1], c = rho[first + width],
+              d = rho[first + width + 1];
+  const float upper = fx >= 0.5f ? b : a, lower = fx >= 0.5f ? d : c;
+  const float nearest = fy < 0.5f ? upper : lower;
   const float close = 0.01f * nearest;
   const bool one_surface =
-      __builtin_fabsf(upper[0] - nearest) < close && __builtin_fabsf(upper[1] - nearest) < close &&
-      __builtin_fabsf(lower[0] - nearest) < close && __builtin_fabsf(lower[1] - nearest) < close;
-  if (!one_surface) return nearest;
-  const float top = upper[0] + fx * (upper[1] - upper[0]);
-  const float bottom = lower[0] + fx * (lower[1] - lower[0]);
-  return top + fy * (bottom - top);
+      (__builtin_fabsf(a - nearest) < close) & (__builtin_fabsf(b - nearest) < close) &
+      (__builtin_fabsf(c - nearest) < close) & (__builtin_fabsf(d - nearest) < close);
+  const float top = a + fx * (b - a);
+  const float bottom = c + fx * (d - c);
+  const float between = top + fy * (bottom - top);
+  return one_surface ? between : nearest;
 }
 
 }  // namespace sirpy

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -12,98 +11,105 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 
-#include "depth_window.h"
+#include "fusion_kernels.h"
+#include "instruction_set.h"
+#include "is_depth.h"
 #include "option_bounds.h"
 
 namespace sirpy {
+namespace fusion {
+
+namespace baseline {
+extern const Kernels kKernels;
+}
+#ifdef SIRPY_X86
+namespace avx2 {
+extern const Kernels kKernels;
+}
+namespace avx512 {
+extern const Kernels kKernels;
+}
+#endif
+
+}  // namespace fusion
+
 namespace {
+
+using RowMajor = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+
+const fusion::Kernels& BestKernels() {
+  switch (BestInstructionSet()) {
+#ifdef SIRPY_X86
+    case InstructionSet::kAvx512:
+      return fusion::avx512::kKernels;
+    case InstructionSet::kAvx2:
+      return fusion::avx2::kKernels;
+#endif
+    default:
+      return fusion::baseline::kKernels;
+  }
+}
 
 void Require(bool satisfied, const std::string& field, double value,
              const std::string& constraint) {
   RequireOption(satisfied, "FusionOptions", field, value, field + " " + constraint);
 }
 
-// A camera whose pixel centres are at whole numbers, and the window of inverse depths.
-struct Camera {
-  explicit Camera(const DepthView& view)
-      : intrinsics(view.intrinsics),
-        rotation(view.rotation),
-        translation(view.translation),
-        centre(-view.rotation.transpose() * view.translation),
-        window(view.rectangle),
-        rank(view.rank) {
-    intrinsics(0, 2) -= 0.5;
-    intrinsics(1, 2) -= 0.5;
-    inverse_intrinsics = intrinsics.inverse();
-    inverse_depth.resize(size_t(window.Area()));
-    for (size_t i = 0; i < inverse_depth.size(); ++i) {
-      inverse_depth[i] = view.depth[i] > 0 ? 1 / view.depth[i] : 0;
-    }
+// K of a camera whose pixel centres are at whole numbers.
+Eigen::Matrix3d CentredIntrinsics(const DepthView& view) {
+  Eigen::Matrix3d intrinsics = view.intrinsics;
+  intrinsics(0, 2) -= 0.5;
+  intrinsics(1, 2) -= 0.5;
+  return intrinsics;
+}
+
+struct ReferenceCamera {
+  explicit ReferenceCamera(const DepthView& view)
+      : intrinsics(CentredIntrinsics(view)),
+        inverse_intrinsics(intrinsics.inverse()),
+        world_from_cam(view.rotation.transpose()),
+        translation(view.translation) {
+    Eigen::Map<RowMajor>(kernel.inverse_intrinsics) = inverse_intrinsics;
+    kernel.focal_area = intrinsics(0, 0) * intrinsics(1, 1);
   }
 
-  Eigen::Vector3d World(double x, double y, double depth) const {
-    return rotation.transpose() *
-           (inverse_intrinsics * Eigen::Vector3d(x, y, 1) * depth - translation);
-  }
-  Eigen::Vector3d InCamera(const Eigen::Vector3d& world) const {
-    return rotation * world + translation;
+  Eigen::Vector3d World(double x, double y, double z) const {
+    return world_from_cam * (inverse_intrinsics * Eigen::Vector3d(x, y, 1) * z - translation);
   }
 
-  // Area of the surface with that normal that one pixel covers at the world point, up to a
-  // constant.
-  double Footprint(const Eigen::Vector3d& world, const Eigen::Vector3d& normal) const {
-    const Eigen::Vector3d ray = world - centre;
-    const double depth = InCamera(world).z();
-    const double facing = std::abs(ray.dot(normal)) / depth;
-    return depth * depth / (intrinsics(0, 0) * intrinsics(1, 1) * std::max(facing, 1e-3));
+  Eigen::Matrix3d intrinsics, inverse_intrinsics, world_from_cam;
+  Eigen::Vector3d translation;
+  fusion::Reference kernel;
+};
+
+// A source as the reference sees it.
+struct AskedSource {
+  AskedSource(const ReferenceCamera& camera, const DepthView& reference, const DepthView& view,
+              uint32_t bit)
+      : bit(bit), rank(view.rank), inverse_depth(size_t(view.rectangle.Area())) {
+    const Eigen::Matrix3d intrinsics = CentredIntrinsics(view);
+    const Eigen::Matrix3d rotation = view.rotation * camera.world_from_cam;  // from reference
+    const Eigen::Vector3d translation = view.translation - rotation * camera.translation;
+    const Eigen::Vector3d centre = -rotation.transpose() * translation;
+    Eigen::Map<RowMajor>(kernel.along) = intrinsics * rotation * camera.inverse_intrinsics;
+    Eigen::Map<Eigen::Vector3d>(kernel.offset) = intrinsics * translation;
+    Eigen::Map<Eigen::Vector3d>(kernel.centre) = centre;
+    Eigen::Map<Eigen::Vector3d>(kernel.back) = camera.intrinsics * centre;
+    kernel.focal_area = intrinsics(0, 0) * intrinsics(1, 1);
+    kernel.may_emit = view.rank < reference.rank;
+    kernel.x0 = view.rectangle.x0;
+    kernel.y0 = view.rectangle.y0;
+    kernel.width = view.rectangle.width;
+    kernel.height = view.rectangle.height;
+    BestKernels().invert(view.depth, int64_t(inverse_depth.size()), inverse_depth.data());
+    kernel.inverse_depth = inverse_depth.data();
   }
 
-  Eigen::Matrix3d intrinsics, inverse_intrinsics, rotation;
-  Eigen::Vector3d translation, centre;
-  Rectangle window;
+  uint32_t bit;  // of the blocks
   int rank;
   std::vector<float> inverse_depth;
+  fusion::Source kernel;
 };
-
-struct Agreement {
-  double shift;  // pixels, forward-backward
-  double depth;  // what the source measures along the reference's ray
-};
-
-// The plane of the reference's pixel: inverse depth is m . (x, y, 1).
-Eigen::Vector3d InverseDepthPlane(const Camera& reference, const Eigen::Vector3d& normal, double x,
-                                  double y, double depth) {
-  const Eigen::Vector3d m = reference.inverse_intrinsics.transpose() * normal;
-  const double at_pixel = m.dot(Eigen::Vector3d(x, y, 1));
-  if (std::abs(at_pixel) < 1e-9) return {0, 0, 1 / depth};
-  return m / (at_pixel * depth);
-}
-
-std::optional<Agreement> Agree(const Camera& reference, const Camera& source, double x, double y,
-                               const Eigen::Vector3d& world, const Eigen::Vector3d& plane) {
-  const Eigen::Vector3d in_source = source.InCamera(world);
-  if (in_source.z() <= 0) return std::nullopt;
-  const Eigen::Vector2d at = (source.intrinsics * in_source).hnormalized();
-  // Bounds are tested in the precision that indices are computed in. Rounded before the window's
-  // origin is taken off, which is exact: the window has no part in it.
-  const float u = float(at.x()) - float(source.window.x0);
-  const float v = float(at.y()) - float(source.window.y0);
-  if (!(u >= 0 && v >= 0 && u < float(source.window.width - 1) &&
-        v < float(source.window.height - 1))) {
-    return std::nullopt;
-  }
-  const float rho =
-      InterpolatedInverseDepth(source.inverse_depth.data(), int(source.window.width), u, v);
-  if (rho <= 0) return std::nullopt;
-  const Eigen::Vector3d back = reference.InCamera(source.World(at.x(), at.y(), 1.0 / rho));
-  if (back.z() <= 0) return std::nullopt;
-  const Eigen::Vector2d where = (reference.intrinsics * back).hnormalized();
-  const Eigen::Vector2d step = where - Eigen::Vector2d(x, y);
-  // The source's point lies beside the ray: slide it along the surface onto the ray.
-  const double on_ray = 1 / back.z() - plane.head<2>().dot(step);
-  if (on_ray <= 0) return std::nullopt;
-  return Agreement{step.norm(), 1 / on_ray};
-}
 
 // What a pixel gives: nothing, or a point at the mean depth.
 struct Fused {
@@ -112,83 +118,110 @@ struct Fused {
 };
 
 struct RowCount {
-  int64_t points = 0, inconsistent = 0, yielded = 0;
+  int64_t points = 0, invalid = 0, inconsistent = 0, seen_through = 0, yielded = 0;
 };
 
 Eigen::Vector3d NormalAt(const float* normals, int64_t pixel, int64_t area) {
   return {normals[pixel], normals[pixel + area], normals[pixel + 2 * area]};
 }
 
-RowCount FuseRow(const Camera& reference, const float* normals,
-                 const std::vector<std::optional<Camera>>& sources, const SourceBlocks& blocks,
+// Reads a run of pixels; false where none of them has a depth.
+bool ReadRun(const DepthView& reference, const float* normals, int64_t row, int64_t column,
+             int64_t end, fusion::Run* run, RowCount* count) {
+  const int64_t area = reference.rectangle.Area();
+  run->first_x = double(reference.rectangle.x0 + column);
+  run->y = double(reference.rectangle.y0 + row);
+  run->count = end - column;
+  bool any = false;
+  for (int64_t i = 0; i < run->count; ++i) {
+    const int64_t pixel = row * reference.rectangle.width + column + i;
+    const float depth = reference.depth[pixel];
+    const bool is_depth = IsDepth(depth);
+    any |= is_depth;
+    count->invalid += !is_depth && depth != 0;
+    run->inverse_depth[i] = is_depth ? 1.0 / depth : 0.0;
+    for (int axis = 0; axis < 3; ++axis) run->normal[axis][i] = normals[pixel + axis * area];
+  }
+  return any;
+}
+
+// One more than needed must agree before a pixel trusts another view to emit its point.
+bool Yields(const fusion::Run& run, int64_t i, int needed, const FusionOptions& options) {
+  return run.has_better[i] > 0 && run.num_consistent[i] > needed && !options.keep_duplicates;
+}
+
+bool IsDecided(const fusion::Run& run, int needed, const FusionOptions& options) {
+  for (int64_t i = 0; i < run.count; ++i) {
+    if (run.inverse_depth[i] > 0 && !Yields(run, i, needed, options)) return false;
+  }
+  return true;
+}
+
+// `sources` in the order in which they are asked.
+RowCount FuseRow(const fusion::Kernels& kernels, const DepthView& reference,
+                 const fusion::Reference& camera, const float* normals,
+                 const std::vector<AskedSource>& sources, const SourceBlocks& blocks,
                  const FusionOptions& options, int64_t row, Fused* fused) {
   RowCount count;
-  const int64_t width = reference.window.width, area = reference.window.Area();
+  const Rectangle& window = reference.rectangle;
   const uint32_t* allowed_of_row =
-      blocks.allowed + (reference.window.y0 + row) / blocks.side * blocks.columns;
-  for (int64_t column = 0; column < width; ++column) {
-    const int64_t pixel = row * width + column;
-    const float rho = reference.inverse_depth[size_t(pixel)];
-    if (rho <= 0) continue;
-    const double depth = 1.0 / rho;
-    const double x = double(reference.window.x0 + column), y = double(reference.window.y0 + row);
-    const Eigen::Vector3d normal = NormalAt(normals, pixel, area);
-    const Eigen::Vector3d world_normal = reference.rotation.transpose() * normal;
-    const Eigen::Vector3d world = reference.World(x, y, depth);
-    const Eigen::Vector3d plane = InverseDepthPlane(reference, normal, x, y, depth);
-
-    int num_consistent = 0;
-    double sum_inverse_depth = 1 / depth;
-    bool better_view = false;
-    const uint32_t allowed = allowed_of_row[(reference.window.x0 + column) / blocks.side];
+      blocks.allowed + (window.y0 + row) / blocks.side * blocks.columns;
+  const fusion::Limits limits = {
+      options.consistency * options.consistency, options.yield_shift * options.yield_shift,
+      options.see_through * options.see_through, options.yield_footprint};
+  fusion::Run run;
+  for (int64_t column = 0, end; column < window.width; column = end) {
+    const int64_t block = (window.x0 + column) / blocks.side;
+    end = std::min({window.width, column + fusion::kRun, (block + 1) * blocks.side - window.x0});
+    if (!ReadRun(reference, normals, row, column, end, &run, &count)) continue;
+    kernels.begin(camera, &run);
+    const uint32_t allowed = allowed_of_row[block];
     const int needed = std::max(1, std::min(options.min_consistent, __builtin_popcount(allowed)));
-    for (uint32_t left = allowed; left != 0; left &= left - 1) {
-      if (!sources[__builtin_ctz(left)]) continue;
-      const Camera& source = *sources[__builtin_ctz(left)];
-      const std::optional<Agreement> agreement = Agree(reference, source, x, y, world, plane);
-      if (!agreement || agreement->shift >= options.consistency) continue;
-      ++num_consistent;
-      sum_inverse_depth += 1 / agreement->depth;
-      better_view =
-          better_view || (source.rank < reference.rank && agreement->shift < options.yield_shift &&
-                          source.Footprint(world, world_normal) <
-                              options.yield_footprint * reference.Footprint(world, world_normal));
+    for (const AskedSource& source : sources) {
+      if (!(allowed & source.bit)) continue;
+      kernels.ask(source.kernel, limits, &run);
+      if (source.kernel.may_emit && IsDecided(run, needed, options)) break;
     }
-    if (num_consistent < needed) {
-      ++count.inconsistent;
-      continue;
+    for (int64_t i = 0; i < run.count; ++i) {
+      if (!(run.inverse_depth[i] > 0)) continue;
+      if (Yields(run, i, needed, options)) {
+        ++count.yielded;
+      } else if (run.num_consistent[i] < needed) {
+        ++count.inconsistent;
+      } else if (run.num_through[i] > run.num_consistent[i]) {
+        ++count.seen_through;
+      } else {
+        ++count.points;
+        const size_t pixel = size_t(row * window.width + column + i);
+        fused->depth[pixel] = (run.num_consistent[i] + 1) / run.sum_inverse_depth[i];
+        fused->num_views[pixel] = uint8_t(run.num_consistent[i] + 1);
+      }
     }
-    // One more than needed must agree before a pixel trusts another view to emit its point.
-    if (better_view && num_consistent > needed && !options.keep_duplicates) {
-      ++count.yielded;
-      continue;
-    }
-    ++count.points;
-    fused->depth[size_t(pixel)] = double(num_consistent + 1) / sum_inverse_depth;
-    fused->num_views[size_t(pixel)] = uint8_t(num_consistent + 1);
   }
   return count;
 }
 
 // The points of a row, from point `first` on.
-void EmitRow(const Camera& reference, const float* normals, const Fused& fused, int64_t row,
-             int64_t first, FusedPoints* points) {
-  const int64_t width = reference.window.width, area = reference.window.Area();
-  int64_t point = first;
+void EmitRow(const DepthView& reference, const ReferenceCamera& camera, const ReferenceMaps& maps,
+             const Fused& fused, int64_t row, int64_t first, FusedPoints* points) {
+  const int64_t width = reference.rectangle.width, area = reference.rectangle.Area();
+  const double focal = std::sqrt(camera.kernel.focal_area);
+  int64_t next = first;
   for (int64_t column = 0; column < width; ++column) {
     const int64_t pixel = row * width + column;
     const double depth = fused.depth[size_t(pixel)];
     if (depth <= 0) continue;
-    const Eigen::Vector3d position = reference.World(double(reference.window.x0 + column),
-                                                     double(reference.window.y0 + row), depth);
-    const Eigen::Vector3d world_normal =
-        reference.rotation.transpose() * NormalAt(normals, pixel, area);
-    Eigen::Map<Eigen::Vector3d>(&points->position[size_t(3 * point)]) = position;
-    Eigen::Map<Eigen::Vector3f>(&points->normal[size_t(3 * point)]) =
-        world_normal.normalized().cast<float>();
-    points->pixel[size_t(point)] = pixel;
-    points->num_views[size_t(point)] = fused.num_views[size_t(pixel)];
-    ++point;
+    FusedPoint& point = points->points[size_t(next)];
+    Eigen::Map<Eigen::Vector3d>(point.position) = camera.World(
+        double(reference.rectangle.x0 + column), double(reference.rectangle.y0 + row), depth);
+    Eigen::Map<Eigen::Vector3f>(point.normal) =
+        (camera.world_from_cam * NormalAt(maps.normal, pixel, area)).normalized().cast<float>();
+    for (int i = 0; i < 3; ++i) point.color[i] = maps.color ? maps.color[3 * pixel + i] : 0;
+    point.num_views = fused.num_views[size_t(pixel)];
+    point.confidence = maps.confidence ? maps.confidence[pixel] : 0;
+    point.gsd = float(depth / focal);
+    points->pixel[size_t(next)] = pixel;
+    ++next;
   }
 }
 
@@ -215,22 +248,28 @@ void FusionOptions::Validate() const {
   Require(consistency > 0, "consistency", consistency, "> 0");
   Require(yield_shift >= 0, "yield_shift", yield_shift, ">= 0");
   Require(yield_footprint > 0, "yield_footprint", yield_footprint, "> 0");
+  Require(see_through > 0, "see_through", see_through, "> 0");
   Require(threads >= 0, "threads", threads, ">= 0");
 }
 
-FusedPoints Fuse(const DepthView& reference, const float* normal,
+FusedPoints Fuse(const DepthView& reference, const ReferenceMaps& maps,
                  const std::vector<DepthView>& sources, const SourceBlocks& blocks,
                  const FusionOptions& options) {
   options.Validate();
   Check(reference, sources, blocks);
-  const Camera reference_camera(reference);
-  std::vector<std::optional<Camera>> source_cameras;
-  for (const DepthView& source : sources) {
-    source_cameras.push_back(source.depth ? std::make_optional<Camera>(source) : std::nullopt);
+  const ReferenceCamera camera(reference);
+  std::vector<AskedSource> asked;
+  asked.reserve(sources.size());  // kernels point into them
+  for (size_t i = 0; i < sources.size(); ++i) {
+    if (sources[i].depth) asked.emplace_back(camera, reference, sources[i], 1u << i);
   }
+  // Those that a pixel may leave its point to come first: then it need not ask the others.
+  std::stable_sort(asked.begin(), asked.end(),
+                   [](const AskedSource& a, const AskedSource& b) { return a.rank < b.rank; });
 
   // Nothing is allocated inside the parallel loops: running out of memory there would end the
   // process.
+  const fusion::Kernels& kernels = BestKernels();
   const int64_t height = reference.rectangle.height;
   const size_t area = size_t(reference.rectangle.Area());
   Fused fused{std::vector<double>(area), std::vector<uint8_t>(area)};
@@ -239,9 +278,9 @@ FusedPoints Fuse(const DepthView& reference, const float* normal,
 #pragma omp parallel for schedule(dynamic) num_threads(threads)
   for (int64_t y = 0; y < height; ++y) {
     counts[size_t(y)] =
-        FuseRow(reference_camera, normal, source_cameras, blocks, options, y, &fused);
+        FuseRow(kernels, reference, camera.kernel, maps.normal, asked, blocks, options, y, &fused);
   }
-  source_cameras.clear();
+  asked.clear();
 
   FusedPoints points;
   std::vector<int64_t> first(height);
@@ -249,16 +288,16 @@ FusedPoints Fuse(const DepthView& reference, const float* normal,
   for (int64_t y = 0; y < height; ++y) {
     first[size_t(y)] = count;
     count += counts[size_t(y)].points;
+    points.num_invalid += counts[size_t(y)].invalid;
     points.num_inconsistent += counts[size_t(y)].inconsistent;
+    points.num_seen_through += counts[size_t(y)].seen_through;
     points.num_yielded += counts[size_t(y)].yielded;
   }
-  points.position.resize(3 * count);
-  points.normal.resize(3 * count);
+  points.points.resize(count);
   points.pixel.resize(count);
-  points.num_views.resize(count);
 #pragma omp parallel for num_threads(threads)
   for (int64_t y = 0; y < height; ++y) {
-    EmitRow(reference_camera, normal, fused, y, first[size_t(y)], &points);
+    EmitRow(reference, camera, maps, fused, y, first[size_t(y)], &points);
   }
   return points;
 }

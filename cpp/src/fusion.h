@@ -5,9 +5,10 @@
 // in COLMAP's coordinates; COLMAP's own fusion uses (x, y), half a pixel off).
 //
 // A depth is believed when the depths of enough sources agree: forward-backward error below
-// `consistency` pixels (Schoenberger et al., ECCV 2016, section 4.6). The point is the mean of what
-// the agreeing views measure along the ray. A surface that several views see is emitted by one of
-// them: the view of the lowest rank that agrees well and whose pixels are not much coarser there.
+// `consistency` pixels (Schoenberger et al., ECCV 2016, section 4.6), and fewer see through it. The
+// point is the mean of what the agreeing views measure along the ray. A surface that several views
+// see is emitted by the one whose pixels are the smallest on it, which is a matter of distance and
+// angle.
 #pragma once
 
 #include <cstdint>
@@ -25,7 +26,8 @@ struct FusionOptions {
   double yield_shift =
       0.5;  // pixels: a pixel leaves its point to a view that agrees better than this
   double yield_footprint =
-      1.5;  // and whose pixel covers at most this times its area of the surface
+      1.5;                 // and whose pixel covers at most this times its area of the surface
+  double see_through = 4;  // pixels of parallax by which a source looks past a wrong point
   bool keep_duplicates = false;  // every believed pixel emits its point
   int threads = 0;               // 0: one for each core
 
@@ -53,19 +55,36 @@ struct SourceBlocks {
   const uint32_t* allowed = nullptr;  // bit j: source j
 };
 
-// The points of a reference window, in row-major order of its pixels.
-struct FusedPoints {
-  std::vector<double> position;    // 3 per point, world
-  std::vector<float> normal;       // 3 per point, world, unit, towards the camera
-  std::vector<int64_t> pixel;      // index in the reference window
-  std::vector<uint8_t> num_views;  // views that agree, with the reference
-  int64_t num_inconsistent = 0;    // pixels with a depth that too few sources confirm
-  int64_t num_yielded = 0;         // pixels whose point another view emits
+// What belongs to the depths of a reference window. Arrays are not owned.
+struct ReferenceMaps {
+  const float* normal = nullptr;      // 3 planes, camera frame
+  const uint8_t* color = nullptr;     // red, green, blue of each pixel; null: points are black
+  const float* confidence = nullptr;  // 0 to 1; null: 0
 };
 
-// `normal`: 3 planes of the reference window, camera frame. At most 32 sources. Throws
-// std::invalid_argument.
-FusedPoints Fuse(const DepthView& reference, const float* normal,
+// A point as it is kept in files: POINT of python/sirpy/cloud.py, without gaps.
+struct FusedPoint {
+  double position[3];  // world
+  float normal[3];     // world, unit, towards the camera
+  uint8_t color[3];
+  uint8_t num_views;  // that agree, with the reference
+  float confidence;
+  float gsd;  // side of the pixel on a surface that faces the camera, world units
+};
+static_assert(sizeof(FusedPoint) == 48, "a record without gaps");
+
+// The points of a reference window, in row-major order of its pixels.
+struct FusedPoints {
+  std::vector<FusedPoint> points;
+  std::vector<int64_t> pixel;    // of each, index in the reference window
+  int64_t num_invalid = 0;       // pixels that hold neither 0 nor a depth
+  int64_t num_inconsistent = 0;  // pixels with a depth that too few sources confirm
+  int64_t num_seen_through = 0;  // pixels behind whose depth more sources look than confirm it
+  int64_t num_yielded = 0;       // pixels whose point another view emits
+};
+
+// At most 32 sources. Throws std::invalid_argument.
+FusedPoints Fuse(const DepthView& reference, const ReferenceMaps& maps,
                  const std::vector<DepthView>& sources, const SourceBlocks& blocks,
                  const FusionOptions& options);
 

@@ -300,15 +300,64 @@ class DepthView:
 def fuse(
     reference: DepthView,
     normal: NDArray[np.float32],
+    color: NDArray[np.uint8],
+    confidence: NDArray[np.float32] | None,
     sources: Sequence[DepthView | None],
     *,
     block_side: int,
     allowed: NDArray[np.uint32],
     options: FusionOptions,
-) -> tuple[
-    NDArray[np.float64], NDArray[np.float32], NDArray[np.int64], NDArray[np.uint8], int, int
-]:
-    """(positions, normals, pixels, views that agree, inconsistent pixels, yielded pixels)."""
+) -> tuple[NDArray[np.uint8], tuple[int, int, int, int]]:
+    """(the bytes of the points, as cloud.POINT; pixels that are (invalid, inconsistent, seen through,
+    yielded))."""
+
+NORMAL_REACH: int  # pixels around a window that its normals depend on
+
+def normals_of_depth(
+    depth: NDArray[np.float32],
+    *,
+    intrinsics: NDArray[np.float64],
+    x0: int,
+    y0: int,
+    threads: int = 0,
+) -> NDArray[np.float32]:
+    """(3, height, width) of a window at (x0, y0), of a map with NORMAL_REACH more pixels on each side."""
+
+# ---- the surface model (sirpy.surface_model)
+
+class SurfaceOptions:
+    """Units and bounds: cpp/src/surface_model.h."""
+
+    cell: float
+    reach: float
+    thickness: float
+    share: float
+    near: float
+    support: int
+    def __init__(self) -> None: ...
+    @property
+    def margin(self) -> int:
+        """Cells around a window whose points count in it."""
+    def validate(self) -> None:
+        """ValueError names field, value and bound."""
+
+def surface_heights(
+    points: NDArray[np.void],
+    *,
+    column: int,
+    row: int,
+    width: int,
+    height: int,
+    options: SurfaceOptions,
+) -> NDArray[np.float32]:
+    """Heights (height, width) of a window of the lattice; NaN where there is none. points: of
+    sirpy.cloud.POINT. Releases the GIL."""
+
+def fill_gaps(
+    heights: NDArray[np.float32], *, longest: float, cell: float, step: float
+) -> NDArray[np.float32]:
+    """The same heights, gaps of at most `longest` cells filled from their lower side; `cell` and
+    `step` in the unit of the heights. Releases the GIL."""
 
 # ---- synthetic scenes (sirpy.synthetic, sirpy.truth)
 

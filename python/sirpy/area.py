@@ -11,21 +11,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.crs import WGS84, parse_crs
 from sirpy.errors import InputError
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import Floats, NativeCamera, NativeScene
 from sirpy.rectangle import Rectangle
 from sirpy.view_fields import observations_around
 
-if TYPE_CHECKING:
-    from pyproj import CRS
-
-_WGS84 = "OGC:CRS84"  # RFC 7946: longitude, latitude
 _COMPARED_AT_ONCE = 1_000_000  # pairs of a point and an edge
 _PARTS_OF_AN_EDGE = 32  # straight in one CRS is bent in another
 _HEIGHT_PERCENTILES = (1.0, 99.0)
@@ -205,7 +202,7 @@ def read_area(
                 "both out when the area is in the model's own coordinates"
             )
         return Area(polygons)
-    return Area(_converted(polygons, path, area_crs or _named_crs(document) or _WGS84, model_crs))
+    return Area(_converted(polygons, path, area_crs or _named_crs(document) or WGS84, model_crs))
 
 
 def _polygons(value: Any, path: Path) -> Iterator[tuple[Floats, ...]]:
@@ -270,7 +267,7 @@ def _converted(
 ) -> tuple[tuple[Floats, ...], ...]:
     from pyproj import Transformer
 
-    source, target = _crs(area_crs, "--area_crs"), _crs(model_crs, "--model_crs")
+    source, target = parse_crs(area_crs, "--area_crs"), parse_crs(model_crs, "--model_crs")
     if not target.is_projected:
         raise InputError(
             f"--model_crs {model_crs} is not projected, so the model's x and y would not be lengths on "
@@ -291,16 +288,6 @@ def _converted(
         return moved
 
     return tuple(tuple(converted(ring) for ring in rings) for rings in polygons)
-
-
-def _crs(text: str, option: str) -> CRS:
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
-
-    try:
-        return CRS.from_user_input(text)
-    except CRSError:
-        raise InputError(f"{option} {text} is not a known CRS: write it like EPSG:25832") from None
 
 
 def _height_range(heights: Floats, least_margin: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sirpy import mesh_cli, weights_cli
+from sirpy import georeference_cli, mesh_cli, rasters_cli, tiles3d_cli, weights_cli
 from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
 
@@ -29,7 +29,10 @@ app = typer.Typer(
     context_settings={"token_normalize_func": lambda token: token.replace("_", "-")},
 )
 app.add_typer(weights_cli.app, name="weights")
-app.command()(mesh_cli.mesh)
+georeference_cli.register(app)
+app.add_typer(rasters_cli.app)
+tiles3d_cli.register(app)
+mesh_cli.register(app)
 
 Images = Annotated[Path, typer.Argument(help="Folder of photographs.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder of the workspace.")]
@@ -71,7 +74,7 @@ AreaCrs = Annotated[
 ]
 ModelCrs = Annotated[
     str | None,
-    typer.Option(help="CRS of the model; without it --area has the model's coordinates."),
+    typer.Option(help="CRS that the model lies in; without it --area has the model's coordinates."),
 ]
 Masks = Annotated[
     Path | None, typer.Option(help="Folder of masks NAME.png, black where not to be used.")
@@ -82,6 +85,10 @@ Stereo = Annotated[
 ]
 Device = Annotated[
     str, typer.Option(help="Of networks: auto (a GPU where there is one), cpu, cuda.")
+]
+Products = Annotated[
+    str,
+    typer.Option(help="Made of the points: some of cloud,dsm,ortho,mesh,tiles3d."),
 ]
 Threads = Annotated[int, typer.Option(help="0: one for each core.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only results and errors.")]
@@ -108,6 +115,7 @@ def reconstruct(
     num_sources: NumSources = 8,
     stereo: Stereo = _STEREO,
     device: Device = "auto",
+    products: Products = "",
     threads: Threads = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -124,15 +132,17 @@ def reconstruct(
         model=model,
         memory=parse_memory(memory),
         grid=_grid(columns, rows, column_cuts, row_cuts),
-        region=read_region(roi, roi_list, area, area_crs, model_crs),
+        region=read_region(roi, roi_list, area, area_crs, model_crs if area else None),
         masks=masks,
+        model_crs=model_crs,
         num_sources=num_sources,
         stereo_options=StereoOptions(backend=stereo, device=device, threads=threads),
+        products=[name.strip() for name in products.split(",")] if products else [],
         threads=threads,
         progress=make_progress(quiet),
     )
     _print_result(result, memory)
-    _report_left_out(result.left_out)
+    _report_left_out(result.left_out, failed=result.failed)
 
 
 @app.command()
@@ -409,11 +419,11 @@ def fuse(
     threads: Threads = 0,
     quiet: Quiet = False,
 ) -> None:
-    """The depth maps as one cloud."""
+    """The depth maps as one cloud; those of a dense workspace that COLMAP made, too."""
+    from sirpy.colmap_dense import open_workspace
     from sirpy.fusion import FusionOptions
     from sirpy.fusion import fuse as run
     from sirpy.progress import make_progress
-    from sirpy.workspace import Workspace
 
     options = FusionOptions(
         min_consistent=min_consistent,
@@ -421,9 +431,10 @@ def fuse(
         keep_duplicates=keep_duplicates,
         threads=threads,
     )
-    folder = Workspace(workspace)
-    points = run(folder, options=options, progress=make_progress(quiet))
-    print(f"cloud: {folder.fused} ({points:,} points)")
+    folder = open_workspace(workspace)
+    made = run(folder, options=options, progress=make_progress(quiet))
+    print(f"cloud: {folder.fused} ({made.points:,} points)")
+    _report_left_out(made.left_out, "depth maps")
 
 
 @app.command()
@@ -455,6 +466,8 @@ def _print_result(result: Reconstruction, memory: str) -> None:
     from sirpy.memory import gigabytes
 
     print(f"cloud:   {result.workspace.fused} ({result.points:,} points)")
+    for name, path in result.products.items():
+        print(f"{name + ':':<8} {path}")
     print(f"report:  {result.workspace.report}")
     if result.workspace.cloud_picture.exists():
         print(f"picture: {result.workspace.cloud_picture}")
@@ -462,14 +475,22 @@ def _print_result(result: Reconstruction, memory: str) -> None:
         print(f"memory:  {gigabytes(result.peak_bytes)} at the peak, of {memory}")
 
 
-def _report_left_out(left_out: Sequence[LeftOut]) -> None:
+def _report_left_out(
+    left_out: Sequence[LeftOut], what: str = "photographs", failed: Sequence[LeftOut] = ()
+) -> None:
     """The exit status says that something is missing, although the rest is done."""
-    if left_out:
-        reasons = "; ".join(f"{out.name}: {out.reason}" for out in left_out[:3])
-        more = f"; and {len(left_out) - 3} more" if len(left_out) > 3 else ""
-        raise InputError(
-            f"the result is made without {len(left_out)} of the photographs ({reasons}{more})"
-        )
+    missing = [
+        f"without {len(some)} of the {of_what} ({_reasons(some)})"
+        for some, of_what in ((left_out, what), (failed, "products"))
+        if some
+    ]
+    if missing:
+        raise InputError(f"the result is made {' and '.join(missing)}")
+
+
+def _reasons(left_out: Sequence[LeftOut]) -> str:
+    more = f"; and {len(left_out) - 3} more" if len(left_out) > 3 else ""
+    return "; ".join(f"{out.name}: {out.reason}" for out in left_out[:3]) + more
 
 
 def _given(context: typer.Context, *parameters: str) -> list[str]:

@@ -12,9 +12,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sirpy.frame import Floats, Frame
+from sirpy.files import written_whole
+from sirpy.frame import Floats, Frame, rotated
 from sirpy.npy import open_npy
 
+# As FusedPoint of cpp/src/fusion.h.
 POINT = np.dtype(
     [(name, "<f8") for name in ("x", "y", "z")]
     + [(name, "<f4") for name in ("nx", "ny", "nz")]  # unit, towards the camera
@@ -26,6 +28,7 @@ POINT = np.dtype(
 Points = npt.NDArray[np.void]
 
 _RUN = 4096  # points
+_AT_ONCE = 1 << 18  # points that are copied
 
 
 class Cloud:
@@ -53,7 +56,7 @@ class Cloud:
                 self._first.append(first)
                 lows.append(xyz.min(axis=0))
                 highs.append(xyz.max(axis=0))
-                gsds.append(float(np.median(run["gsd"])) * frame.scale)
+                gsds.append(float(np.median(run["gsd"])))
         self._low, self._high = np.array(lows).reshape(-1, 3), np.array(highs).reshape(-1, 3)
         nowhere = np.zeros(3)
         self.low: Floats = self._low.min(axis=0) if lows else nowhere
@@ -83,6 +86,28 @@ class Cloud:
         return _moved(np.array(points[first : first + _RUN]), self.frame)
 
 
+def write_ply(path: Path, parts: Sequence[Path], frame: Frame) -> int:
+    """Writes the points of all parts as one binary PLY file, all their fields; returns their number.
+
+    Raises:
+        InputError: a part is missing or damaged.
+        OutputError: the cloud cannot be written.
+    """
+    # One part is open at a time: there may be more of them than a process may open files.
+    count = sum(len(_open(part)) for part in parts)
+    kind = {"<f8": "double", "<f4": "float", "|u1": "uchar"}
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    header += [f"property {kind[POINT[name].str]} {name}" for name in POINT.names or ()]
+    with written_whole(path) as temporary, temporary.open("wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
+        for part in parts:
+            for first in range(0, len(_open(part)), _AT_ONCE):
+                # Mapped anew: what has been read counts as memory while it is mapped.
+                some = _open(part)[first : first + _AT_ONCE]
+                file.write((some if frame.is_model else _moved(np.array(some), frame)).data)
+    return count
+
+
 def positions(points: Points) -> Floats:
     """(n, 3) of points."""
     return np.column_stack([points["x"], points["y"], points["z"]])
@@ -90,8 +115,10 @@ def positions(points: Points) -> Floats:
 
 def _moved(points: Points, frame: Frame) -> Points:
     """Points of the model, in the frame; in place."""
+    if frame.is_model:
+        return points
     world = frame.world(positions(points))
-    normal = np.column_stack([points["nx"], points["ny"], points["nz"]]) @ frame.rotation.T
+    normal = rotated(np.column_stack([points["nx"], points["ny"], points["nz"]]), frame.rotation)
     for axis, (place, direction) in enumerate(zip("xyz", ("nx", "ny", "nz"), strict=True)):
         points[place], points[direction] = world[:, axis], normal[:, axis]
     points["gsd"] *= np.float32(frame.scale)

@@ -44,6 +44,25 @@ def written_whole(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+@contextmanager
+def folder_written_whole(path: Path) -> Iterator[Path]:
+    """Yields an empty folder beside `path`; it takes the place of `path` when the block ends well, else it is
+    removed.
+
+    Raises:
+        OutputError: the folder cannot be written (no permission, no space left).
+    """
+    with written_whole(path) as temporary:
+        try:
+            temporary.mkdir()
+            yield temporary
+            if path.exists():
+                shutil.rmtree(path)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+
+
 def _temporary(path: Path) -> Path:
     """`.STEM.PROCESS.tmp.EXTENSION` beside `path`, as the C++ core names it too.
 

@@ -25,10 +25,19 @@ class Frame:
 
     def world(self, model: Floats) -> Floats:
         """Points (n, 3) of the model, in this frame."""
-        points: Floats = self.scale * (model @ self.rotation.T) + self.translation
-        return points
+        return self.scale * rotated(model, self.rotation) + self.translation
+
+    @property
+    def is_model(self) -> bool:
+        """Whether it is the model's own."""
+        return self.scale == 1 and (self.rotation == np.eye(3)).all() and not self.translation.any()
 
     def model(self, world: Floats) -> Floats:
         """Points (n, 3) of this frame, in the model."""
-        points: Floats = (world - self.translation) @ self.rotation / self.scale
-        return points
+        return rotated(world - self.translation, self.rotation.T) / self.scale
+
+
+def rotated(points: Floats, rotation: Floats) -> Floats:
+    """Points (n, 3) by a matrix; sums in one order, which a library of linear algebra does not promise."""
+    x, y, z = points.T
+    return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in rotation])

@@ -1,34 +1,38 @@
-"""Fusion: depth maps to one cloud, sub-image by sub-image, stateless (cpp/src/fusion.h).
+"""Fusion: depth maps to one cloud, block by block, stateless (cpp/src/fusion.h).
 
-Each sub-image gives the points of its core; the cloud is their concatenation in the order of the sub-images, the
-same whatever the order or number of workers.
+Each sub-image gives the points of its core, in blocks of the native image; a block reads of its sources what its own
+depths project to, and no more. The cloud is their concatenation in the order of the sub-images, the same whatever
+the order or number of workers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from sirpy import _core
+from sirpy import _core, memory
+from sirpy.cloud import POINT, Points, write_ply
+from sirpy.depth_maps import DepthMaps
 from sirpy.errors import InputError
-from sirpy.files import fingerprint, written_whole
-from sirpy.native_images import NativeImage, SubImage
-from sirpy.native_scene import NativeScene, read_native_scene
-from sirpy.npy import open_npy, write_npy
+from sirpy.files import fingerprint, read_json, write_json
+from sirpy.frame import Frame
+from sirpy.native_images import LeftOut, SubImage
+from sirpy.native_scene import Floats, NativeCamera, NativeScene, read_native_scene
+from sirpy.npy import written_npy
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
-from sirpy.view_selection import Views, read_views
-from sirpy.windows import read_map_window, read_window
+from sirpy.view_fields import ViewField, frustum_corners, projected_boxes
+from sirpy.view_selection import Selected, selected_views
+from sirpy.windows import FloatMap, read_window
 from sirpy.workspace import Workspace
 
-# What every reader of PLY clouds knows: 27 bytes per point.
-POINT = np.dtype(
-    [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
-    + [(name, "u1") for name in ("red", "green", "blue")]
-)
+_BLOCK = 512  # pixels of a side: what is worked on at a time
+_PART = 64  # pixels of a side: of a block, with a depth range of its own
+_REACH = 2  # pixels around a projection that interpolation needs
 
 
 @dataclass(frozen=True)
@@ -55,105 +59,179 @@ class FusionOptions:
             )
 
 
+@dataclass(frozen=True)
+class Fused:
+    """What `fuse` made: the number of points, and the sub-images without a sound depth map."""
+
+    points: int
+    left_out: tuple[LeftOut, ...]
+
+
 def fuse(
     workspace: Workspace,
     *,
     options: FusionOptions | None = None,
     progress: Progress | None = None,
-) -> int:
-    """Fuses the geometric depth maps into fused.ply; returns the number of points.
+) -> Fused:
+    """Fuses the depth maps into fused.ply.
+
+    Sub-images whose depth map is missing or damaged are left out; points of others are confirmed without them.
 
     Raises:
-        InputError: depth maps are missing (run `stereo` first), a file is damaged, or an option is out
-            of range.
+        InputError: there is no depth map at all (run `stereo` first), another file is damaged, or an option is
+            out of range.
     """
     options = options or FusionOptions()
     progress = progress or Progress()
-    views = read_views(workspace)
-    scene = read_native_scene(workspace)
-    natives = {native.name: native for native in workspace.natives}
-    todo = list(workspace.sub_images())
-    for _, sub_image in todo:
-        if not workspace.depth_map(sub_image, "geometric").exists():
-            raise InputError(
-                f"{workspace.depth_map(sub_image, 'geometric')} is missing: run `sirpy stereo` first"
-            )
+    maps = DepthMaps(workspace)
+    for out in maps.left_out:
+        progress.note(f"left out: {out.name}: {out.reason}")
     what = {key: value for key, value in asdict(options).items() if key != "threads"}
-    workspace.begin_stage("fuse", fingerprint(workspace.fingerprint_of("stereo"), what))
-    with progress.stage("fuse", len(todo), "sub-image") as step:
-        for native, sub_image in todo:
-            part = workspace.fused_part(sub_image)
+    workspace.begin_stage("fuse", fingerprint(maps.identity(), what))
+    units = [(native.name, sub) for native in maps.natives.values() for sub in native.sub_images]
+    parts = [workspace.fused_part(sub) for _, sub in units]
+    fusion = _Fusion(workspace, maps, options)
+    with progress.stage("fuse", len(units), "sub-image") as step:
+        for (name, sub_image), part in zip(units, parts, strict=True):
             if not part.exists():
-                points = _fuse_core(workspace, natives, scene, views, native, sub_image, options)
-                write_npy(part, points)
+                with written_npy(part, POINT) as write:
+                    for points in fusion.points(name, sub_image):
+                        write(points)
+                if fusion.num_invalid:
+                    progress.note(
+                        f"{sub_image.name}: {fusion.num_invalid} pixels of its depth map hold neither a "
+                        "depth nor 0: left out"
+                    )
+                memory.give_back()
             step.advance()
-    return write_cloud(workspace.fused, [workspace.fused_part(sub_image) for _, sub_image in todo])
+    # Written last: without it there is no cloud to make products of.
+    count = write_ply(workspace.fused, parts, Frame())
+    write_json(workspace.fused_parts, [sub.name for _, sub in units])
+    return Fused(count, tuple(maps.left_out))
 
 
-def write_cloud(path: Path, parts: list[Path]) -> int:
-    """Writes the points of all parts (.npy of POINT) as one binary PLY file; returns their number.
+def fused_parts(workspace: Workspace) -> list[Path]:
+    """The points of the sub-images, (n,) of POINT each, in the model's frame.
 
     Raises:
-        InputError: a part is missing or damaged.
-        OutputError: the cloud cannot be written.
+        InputError: fusion is not complete.
     """
-    # One part is open at a time: there may be more of them than a process may open files.
-    count = sum(len(_open_part(part)) for part in parts)
-    kind = {"<f4": "float", "|u1": "uchar"}
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-    header += [f"property {kind[POINT[name].str]} {name}" for name in POINT.names or ()]
-    with written_whole(path) as temporary, temporary.open("wb") as file:
-        file.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii"))
-        for part in parts:
-            file.write(_open_part(part).tobytes())
-    return count
+    again = "run `sirpy fuse` first"
+    try:
+        names = read_json(workspace.fused_parts, lambda names: {str(name) for name in names}, again)
+    except FileNotFoundError:
+        raise InputError(f"{workspace.folder} has no fused points: {again}") from None
+    return [workspace.fused_part(sub) for _, sub in workspace.sub_images() if sub.name in names]
 
 
-def _open_part(path: Path) -> npt.NDArray[np.void]:
-    return open_npy(path, POINT, (None,), "`sirpy fuse`")
+class _Fusion:
+    """The points of single sub-images; `num_invalid` pixels of the last one had no sound depth."""
 
+    def __init__(self, workspace: Workspace, maps: DepthMaps, options: FusionOptions) -> None:
+        self._workspace, self._maps = workspace, maps
+        self._scene: NativeScene = read_native_scene(workspace)
+        self._views: Selected = selected_views(workspace, self._scene, maps.natives)
+        self._options = _core.FusionOptions()
+        for key, value in asdict(options).items():
+            setattr(self._options, key, value)
+        self.num_invalid = 0
 
-def _fuse_core(
-    workspace: Workspace,
-    natives: dict[str, NativeImage],
-    scene: NativeScene,
-    views: Views,
-    native: NativeImage,
-    sub_image: SubImage,
-    options: FusionOptions,
-) -> npt.NDArray[np.void]:
-    def depth_view(name: str, rectangle: Rectangle) -> _core.DepthView:
-        camera = scene.cameras[name]
+    def points(self, name: str, sub_image: SubImage) -> Iterator[Points]:
+        """Of the sub-image's core, block by block."""
+        self.num_invalid = 0
+        color = read_window(self._workspace, name, sub_image.core, "color", again=False)
+        for block in _blocks(sub_image.core):
+            depth = self._maps.depth(name, block)
+            if depth.any():
+                yield self._block(
+                    name, sub_image, block, depth, color[block.slices_in(sub_image.core)]
+                )
+
+    def _block(
+        self,
+        name: str,
+        sub_image: SubImage,
+        block: Rectangle,
+        depth: FloatMap,
+        color: npt.NDArray[np.uint8],
+    ) -> Points:
+        camera, field = self._scene.cameras[name], self._views.field(name)
+        windows = source_windows(self._scene.cameras, field, block, depth)
+        points, (invalid, *_) = _core.fuse(
+            self._depth_view(name, block, depth),
+            self._maps.normal(name, sub_image, block, camera.intrinsics),
+            np.ascontiguousarray(color),
+            self._maps.confidence(name, sub_image, block),
+            [
+                self._depth_view(source.name, window, self._maps.depth(source.name, window))
+                if window is not None
+                else None
+                for source, window in zip(field.sources, windows, strict=True)
+            ],
+            block_side=field.side,
+            allowed=field.allowed,
+            options=self._options,
+        )
+        self.num_invalid += invalid
+        return points.view(POINT)
+
+    def _depth_view(self, name: str, window: Rectangle, depth: FloatMap) -> _core.DepthView:
+        camera = self._scene.cameras[name]
         return _core.DepthView(
             intrinsics=camera.intrinsics,
             cam_from_world=camera.cam_from_world,
-            x0=rectangle.x0,
-            y0=rectangle.y0,
-            rank=views.rank[name],
-            depth=read_map_window(workspace, natives[name], rectangle, "depth", "geometric"),
+            x0=window.x0,
+            y0=window.y0,
+            rank=self._views.rank[name],
+            depth=depth,
         )
 
-    core_options = _core.FusionOptions()
-    for key, value in asdict(options).items():
-        setattr(core_options, key, value)
-    field = views.fields[native.name]
-    windows = {one.name: one.window for one in views.sub_images[sub_image.name].sources}
-    core = sub_image.core
-    position, normal, pixel, _, _, _ = _core.fuse(
-        depth_view(native.name, core),
-        read_map_window(workspace, native, core, "normal", "geometric"),
-        [
-            depth_view(source.name, windows[source.name]) if source.name in windows else None
-            for source in field.sources
-        ],
-        block_side=field.side,
-        allowed=field.allowed,
-        options=core_options,
-    )
-    color = read_window(workspace, native.name, core, "color").reshape(-1, 3)[pixel]
-    points = np.empty(len(pixel), POINT)
-    for axis, (place, direction) in enumerate(zip("xyz", ("nx", "ny", "nz"), strict=True)):
-        points[place], points[direction] = position[:, axis], normal[:, axis]
-    for channel, name in enumerate(("red", "green", "blue")):
-        points[name] = color[:, channel]
-    return points
+
+def _blocks(core: Rectangle) -> Iterator[Rectangle]:
+    """Squares of the native image's lattice, as far as they lie in a core, row by row."""
+    for y in range(core.y0 // _BLOCK, -(-core.y1 // _BLOCK)):
+        for x in range(core.x0 // _BLOCK, -(-core.x1 // _BLOCK)):
+            yield Rectangle(x * _BLOCK, y * _BLOCK, _BLOCK, _BLOCK).intersection(core)
+
+
+def source_windows(
+    cameras: Mapping[str, NativeCamera], field: ViewField, block: Rectangle, depth: FloatMap
+) -> list[Rectangle | None]:
+    """What of each source of `field` the depths (height, width) of a block project to; None where nothing."""
+    parts, ranges = _depth_ranges(block, depth)
+    allowed = np.bitwise_or.reduce(field.allowed[field.blocks(block)], axis=None)
+    corners = frustum_corners(cameras[field.name], parts, ranges)
+    windows: list[Rectangle | None] = []
+    for index, source in enumerate(field.sources):
+        window = None
+        if parts and allowed >> np.uint32(index) & 1 and source.name in cameras:
+            camera = cameras[source.name]
+            boxes = projected_boxes(camera, corners)
+            x0, y0 = np.floor(boxes[:, :2].min(axis=0)).astype(int) - _REACH
+            x1, y1 = np.ceil(boxes[:, 2:].max(axis=0)).astype(int) + _REACH
+            whole = Rectangle(0, 0, camera.width, camera.height)
+            found = Rectangle.from_corners(int(x0), int(y0), int(x1), int(y1)).intersection(whole)
+            window = found if found.area else None
+        windows.append(window)
+    return windows
+
+
+def _depth_ranges(block: Rectangle, depth: FloatMap) -> tuple[list[Rectangle], Floats]:
+    """Parts of a block that hold depths, and the nearest and farthest (n, 2) of each."""
+    sound = (depth > 1e-30) & (depth < 1e30)
+    rows, columns = range(0, block.height, _PART), range(0, block.width, _PART)
+
+    def reduced(of: np.ufunc, fill: float) -> Floats:
+        filled = np.where(sound, depth, fill)
+        found: Floats = of.reduceat(of.reduceat(filled, rows, axis=0), columns, axis=1)
+        return found
+
+    nearest, farthest = reduced(np.minimum, np.inf), reduced(np.maximum, 0.0)
+    held = np.argwhere(farthest > 0)
+    parts = [
+        Rectangle(
+            block.x0 + int(column) * _PART, block.y0 + int(row) * _PART, _PART, _PART
+        ).intersection(block)
+        for row, column in held
+    ]
+    return parts, np.column_stack([nearest[farthest > 0], farthest[farthest > 0]])

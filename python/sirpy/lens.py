@@ -204,7 +204,8 @@ def _check_points(width: int, height: int) -> NDArray[np.float64]:
     points = random.uniform(0, 1, (_CHECKED_POINTS, 2))
     border = np.arange(_CHECKED_POINTS // 4)
     points[border, border % 2] = (border // 2) % 2
-    return 0.5 + points * np.maximum([width - 1, height - 1], 1)
+    inside: NDArray[np.float64] = 0.5 + points * np.maximum([width - 1, height - 1], 1)
+    return inside
 
 
 def _same_pixels(camera: pycolmap.Camera, undistorted: pycolmap.Camera) -> bool:

@@ -75,9 +75,9 @@ class FailedTile:
 
 @dataclass(frozen=True)
 class MeshResult:
-    """`glb`: one file, or one of each tile where one cannot hold so much."""
+    """`path`: the PLY; `glb`: one file, or one of each tile where one cannot hold so much."""
 
-    ply: Path
+    path: Path
     glb: tuple[Path, ...]
     vertices: int
     triangles: int
@@ -270,7 +270,9 @@ def _write_glb(
 ) -> tuple[Path, ...]:
     """mesh.glb if a GLB can hold the mesh, and the files of the tiles if they are wanted or it cannot."""
     vertices, triangles = read_ply(workspace.mesh)
-    workspace.mesh_glb.unlink(missing_ok=True)
+    tiles = [*workspace.tiles_made("mesh.ply"), *workspace.tiles_made("mesh.glb")]
+    for old in (workspace.mesh_glb, *tiles):  # of other options
+        old.unlink(missing_ok=True)
     one = fits_glb(len(vertices), len(triangles))
     if one:
         write_glb(workspace.mesh_glb, vertices, triangles, crs)
@@ -286,11 +288,11 @@ def _write_glb(
         for name, runs in ranges.items():
             own = np.concatenate([triangles["vertices"][at : at + n] for at, n in runs])
             used, faces = np.unique(own, return_inverse=True)
-            mesh = workspace.tile(name, "ply"), workspace.tile(name, "glb")
-            with written_whole(mesh[0]) as temporary:
+            ply, glb = workspace.tile(name, "mesh.ply"), workspace.tile(name, "mesh.glb")
+            with written_whole(ply) as temporary:
                 write_ply(temporary, vertices[used], faces.reshape(-1, 3))
-            write_glb(mesh[1], *read_ply(mesh[0]), crs)
-            made.append(mesh[1])
+            write_glb(glb, *read_ply(ply), crs)
+            made.append(glb)
             steps.advance()
     return (workspace.mesh_glb,) if one else tuple(made)
 

@@ -10,6 +10,10 @@ import typer
 from sirpy.errors import InputError
 
 
+def register(app: typer.Typer) -> None:
+    app.command()(mesh)
+
+
 def mesh(
     workspace: Annotated[Path, typer.Argument(help="Folder of the workspace.", show_default=False)],
     tiles: Annotated[
@@ -30,7 +34,7 @@ def mesh(
         float, typer.Option(help="Cells around a tile whose points shape its surface too.")
     ] = 24.0,
     per_tile: Annotated[
-        bool, typer.Option("--per-tile", help="Also each tile in tiles/NAME.ply and .glb.")
+        bool, typer.Option("--per-tile", help="Also each tile in tiles/NAME.mesh.ply and .glb.")
     ] = False,
     memory: Annotated[
         str, typer.Option(help="What the whole process tree may take: 8GB, 500MB.")
@@ -55,7 +59,7 @@ def mesh(
         threads=threads,
         progress=make_progress(quiet),
     )
-    print(f"mesh: {result.ply} ({result.triangles} triangles)")
+    print(f"mesh: {result.path} ({result.triangles} triangles)")
     for path in result.glb:
         print(f"mesh: {path}")
     if result.failed:

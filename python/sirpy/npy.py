@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -26,6 +28,35 @@ def write_npy(path: Path, array: npt.NDArray[Any]) -> None:
     with written_whole(path) as temporary, temporary.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
         file.write(array.data)
+
+
+@contextmanager
+def written_npy(path: Path, dtype: np.dtype[Any]) -> Iterator[Callable[[npt.NDArray[Any]], None]]:
+    """Yields what appends arrays (n,) to a file, which is whole or not there; nothing is held.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    count = 0
+
+    def header() -> bytes:
+        # As long for every number of rows.
+        text = f"{{'descr': {dtype.descr!r}, 'fortran_order': False, 'shape': ({count:20d},), }}"
+        padding = -(10 + len(text) + 1) % 64
+        line = (text + " " * padding + "\n").encode("latin1")
+        return b"\x93NUMPY\x01\x00" + len(line).to_bytes(2, "little") + line
+
+    with written_whole(path) as temporary, temporary.open("wb") as file:
+        file.write(header())
+
+        def append(rows: npt.NDArray[Any]) -> None:
+            nonlocal count
+            file.write(np.ascontiguousarray(rows, dtype).data)
+            count += len(rows)
+
+        yield append
+        file.seek(0)
+        file.write(header())
 
 
 def open_npy(

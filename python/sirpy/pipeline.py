@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from sirpy.cutting import cut
+from sirpy.deliverables import check_products, make_product
 from sirpy.dense_stereo import stereo
+from sirpy.errors import SirpyError
 from sirpy.files import write_json
 from sirpy.fusion import FusionOptions, fuse
+from sirpy.georeference import settle_frame
 from sirpy.html_report import report
 from sirpy.layout import Region
 from sirpy.model_arrays import read_arrays
@@ -42,6 +45,8 @@ class Reconstruction:
     points: int
     left_out: list[LeftOut]
     peak_bytes: int | None  # measured, of the whole process tree; None where it cannot be
+    products: dict[str, Path]  # what was asked for, by name
+    failed: list[LeftOut]  # products that could not be made, and why
 
 
 def reconstruct(
@@ -56,6 +61,8 @@ def reconstruct(
     num_sources: int = 8,
     stereo_options: StereoOptions | None = None,
     fusion_options: FusionOptions | None = None,
+    products: Sequence[str] = (),
+    model_crs: str | None = None,
     threads: int = 0,
     progress: Progress | None = None,
 ) -> Reconstruction:
@@ -72,6 +79,9 @@ def reconstruct(
         region: what of the photographs is used; all of it by default.
         masks: folder of masks NAME.png, black where a photograph is to give no points.
         num_sources: photographs that each is matched against, at most.
+        products: of deliverables.PRODUCTS, made of the points in the frame of the georeference; of GPS in
+            EXIF where there is none yet.
+        model_crs: the CRS that the model lies in, of the products then.
         threads: 0 for one on each core.
 
     Raises:
@@ -84,6 +94,7 @@ def reconstruct(
     fusion_options = fusion_options or FusionOptions(threads=threads)
     check_num_sources(num_sources)
     check_backend(stereo_options)
+    check_products(products)
     names = find_photographs(images)
     check_folders(images, output)
     check_masks(masks)
@@ -132,11 +143,41 @@ def reconstruct(
     with log.stage(workspace, "stereo", count, "sub-image"):
         stereo(workspace, options=stereo_options, progress=progress)
     with log.stage(workspace, "fuse", count, "sub-image"):
-        points = fuse(workspace, options=fusion_options, progress=progress)
-    left_out = sorted([*left_out, *workspace.left_out], key=lambda out: out.name)
-    log.write(workspace, chosen, points, left_out, stereo_options.backend, progress.notes)
+        fused = fuse(workspace, options=fusion_options, progress=progress)
+    made, failed = _make_products(
+        workspace, images, products, model_crs, memory, threads, log, progress
+    )
+    left_out = sorted([*left_out, *workspace.left_out, *fused.left_out], key=lambda out: out.name)
+    log.write(workspace, chosen, fused.points, left_out, stereo_options.backend, progress.notes)
     report(workspace)
-    return Reconstruction(workspace, chosen, points, left_out, log.peak)
+    return Reconstruction(workspace, chosen, fused.points, left_out, log.peak, made, failed)
+
+
+def _make_products(
+    workspace: Workspace,
+    images: Path,
+    names: Sequence[str],
+    model_crs: str | None,
+    memory: int,
+    threads: int,
+    log: _RunLog,
+    progress: Progress,
+) -> tuple[dict[str, Path], list[LeftOut]]:
+    """One that fails does not keep the others from being made."""
+    made: dict[str, Path] = {}
+    failed: list[LeftOut] = []
+    if names:
+        settle_frame(workspace, images, model_crs=model_crs, progress=progress)
+    for name in names:
+        try:
+            with log.stage(workspace, name, 1, "product"):
+                made[name] = make_product(
+                    workspace, name, memory=memory, threads=threads, progress=progress
+                )
+        except SirpyError as error:
+            progress.note(f"{name}: {error}")
+            failed.append(LeftOut(name, str(error)))
+    return made, failed
 
 
 @dataclass

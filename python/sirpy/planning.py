@@ -40,9 +40,8 @@ _CUT_BYTES_PER_COLUMN = 3000
 _SHRINKING_BYTES = (
     50_000_000  # of stereo: bands of native pixels on their way to the coarsest level
 )
-# Fusion, for each pixel of the core and of each source window: depths and their inverse 8, normal 12, mean depth and
-# number of views 9; then, when the inverse depths of the sources are gone, a point of 45.
-_FUSE_BYTES, _FUSE_BYTES_AT_END = (29, 8), (74, 4)
+# Fusion: the colours of the core; maps, windows of sources and points of a block of 512 x 512.
+_FUSE_BYTES, _FUSE_BLOCK_BYTES = (3, 0), 80_000_000
 # What stereo on a GPU holds here, for each pixel of the reference: the image, ranges, random numbers, the result.
 _GIVEN_TO_A_DEVICE = 25
 _REPORT_BYTES = 220_000_000  # its pictures, whatever the photographs
@@ -59,14 +58,14 @@ _NOTABLE_BYTES = 200_000_000  # of what has to be held of a photograph
 _ENGINE_BYTES_PER_PIXEL = 200
 
 # CPU microseconds: per native pixel; views per photograph and per sub-image.
-_CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.025, 0.7, 0.05
+_CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.025, 0.3, 0.05
 _VIEWS_TIME = 60_000.0, 1_500.0
 # Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps (depth 4, normal 12, reason 4,
-# confidence 4) and those of the passes, while stereo runs (20 a pass, 27 in all); points per pixel, 27 bytes each in
+# confidence 4) and those of the passes, while stereo runs (20 a pass, 27 in all); points per pixel, 48 bytes each in
 # its part and again in the cloud.
 _JPEG_BYTES, _PNG_BYTES = 0.5, 2.0
 _MAP_FILES, _MAP_BYTES = 4, 51
-_POINTS_PER_PIXEL, _POINT_BYTES = 0.3, 54
+_POINTS_PER_PIXEL, _POINT_BYTES = 0.3, 96
 
 
 @dataclass(frozen=True)
@@ -322,13 +321,9 @@ def _predict(
     looked_at = list(natives.values())[:: -(-len(natives) // _MOST_IMAGES)]
     units = [(native, sub) for native in looked_at for sub in native.sub_images]
     chosen = units[:: -(-len(units) // most_sub_images)]
-    # (pixels of the core, of the source windows, views) of each sub-image that is looked at.
+    # (pixels of the source windows, views) of each sub-image that is looked at.
     found = [
-        (
-            sub.core.area,
-            sum(source.window.area for source in views.sources),
-            views,
-        )
+        (sum(source.window.area for source in views.sources), views)
         for native, sub in chosen
         for views in [selection.sub_image(native.name, sub)]
     ]
@@ -339,7 +334,7 @@ def _predict(
     stereo_time = share * sum(
         views.window.area * (one.cpu_us[0] + one.cpu_us[1] * count)
         for one in passes
-        for _, _, views in found
+        for _, views in found
         for count in [min(len(views.sources), selection.num_sources)]
     )
     views_time = _VIEWS_TIME[0] * len(natives) + _VIEWS_TIME[1] * len(stored)
@@ -348,7 +343,7 @@ def _predict(
     process += max(one.loaded_bytes for one in passes)
     whole = [scene.cameras[name] for name in natives]
     cut = max(_CUT_BYTES_PER_COLUMN * one.width + held.get(one.name, 0) for one in whole)
-    fuse = max(_fuse_bytes(area, sources) for area, sources, _ in found)
+    fuse = _FUSE_BYTES[0] * max(one.area for one in stored) + _FUSE_BLOCK_BYTES
     stereo, device_load = 0, 0.0
     for one in passes:
         held_bytes = _stereo_bytes(one, selection, chosen, looked_at)
@@ -382,8 +377,8 @@ def _predict(
         sub_images=count,
         largest=max(((one.width, one.height) for one in stored), key=lambda s: (s[0] * s[1], s)),
         source_megapixels=(
-            sum(sources for _, sources, _ in found) / len(found) / 1e6,
-            max(sources for _, sources, _ in found) / 1e6,
+            sum(sources for sources, _ in found) / len(found) / 1e6,
+            max(sources for sources, _ in found) / 1e6,
         ),
         files=(2 + _MAP_FILES) * count,
         written_bytes=int(
@@ -395,7 +390,7 @@ def _predict(
             stage("cut", (len(natives), "photograph"), cut, _CUT_TIME * native_pixels, cores),
             stage("views", (count, unit), 0, views_time, 1),
             stage("stereo", (count, unit), cached + stereo, stereo_time, cores, bytes_per_pixel),
-            stage("fuse", (count, unit), cached + fuse, _FUSE_TIME * core, cores, _FUSE_BYTES),
+            stage("fuse", (count, unit), fuse, _FUSE_TIME * core, cores, _FUSE_BYTES),
             stage("report", (1, "page"), _REPORT_BYTES, _REPORT_TIME * core, 1),
         ),
         device_load=device_load,
@@ -425,13 +420,6 @@ def _stereo_bytes_per_pixel(of_pass: StereoBackend) -> tuple[int, int]:
     return (
         (of_pass.memory(2 * many, 8 * many) - base) // many,
         (of_pass.memory(many, 9 * many) - base) // many,
-    )
-
-
-def _fuse_bytes(core_pixels: int, source_pixels: int) -> int:
-    return max(
-        core * core_pixels + source * source_pixels
-        for core, source in (_FUSE_BYTES, _FUSE_BYTES_AT_END)
     )
 
 

@@ -1,8 +1,8 @@
-"""Reading point clouds: binary little-endian PLY, as sirpy, COLMAP and OpenMVS write it."""
+"""Point clouds in binary little-endian PLY, as sirpy, COLMAP and OpenMVS write it, read and written by parts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sirpy.errors import InputError
+from sirpy.files import written_whole
 
 _TYPES = {
     "char": "i1",
@@ -30,6 +31,7 @@ _TYPES = {
     "float64": "<f8",
 }
 _LONGEST_HEADER = 65536
+_DIGITS = 20  # room for the number of vertices; readers pass over blanks at the end of a line
 
 
 def read_vertices(path: Path | str) -> NDArray[Any]:
@@ -90,3 +92,30 @@ def _vertex_layout(path: Path, lines: list[str]) -> tuple[int, list[tuple[str, s
     if count < 0 or not {"x", "y", "z"} <= {name for name, _ in fields}:
         raise InputError(f"{path} holds no vertices with x, y and z")
     return count, fields
+
+
+def write_vertices(path: Path, dtype: np.dtype[Any], chunks: Iterable[NDArray[Any]]) -> int:
+    """Writes points as binary little-endian PLY, chunk by chunk; returns their number.
+
+    Args:
+        dtype: of the chunks, a structured array's; its fields become the properties.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    names = {np.dtype(code): name for name, code in _TYPES.items() if not name[-1].isdecimal()}
+    properties = [f"property {names[dtype[field]]} {field}" for field in dtype.names or ()]
+
+    def header(count: int) -> bytes:
+        lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count:<{_DIGITS}}"]
+        return ("\n".join([*lines, *properties, "end_header"]) + "\n").encode("ascii")
+
+    count = 0
+    with written_whole(path) as temporary, temporary.open("wb") as file:
+        file.write(header(0))
+        for chunk in chunks:
+            file.write(chunk.tobytes())
+            count += len(chunk)
+        file.seek(0)  # how many there are is known at the end
+        file.write(header(count))
+    return count

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from sirpy.cloud import Cloud
-from sirpy.errors import InputError
 from sirpy.files import fingerprint
+from sirpy.fusion import fused_parts
 from sirpy.georeference import read_frame
 from sirpy.workspace import Workspace
 
@@ -16,10 +16,7 @@ def open_cloud(workspace: Workspace) -> Cloud:
         InputError: there is no complete cloud, or a part of it is damaged.
     """
     frame = read_frame(workspace)
-    parts = [workspace.fused_part(sub_image) for _, sub_image in workspace.sub_images()]
-    missing = [part for part in parts if not part.exists()]
-    if missing:
-        raise InputError(f"there is no {missing[0]}: run `sirpy fuse` first")
+    parts = fused_parts(workspace)
     place = [frame.crs, frame.scale, frame.rotation.tolist(), frame.translation.tolist()]
     workspace.begin_stage("products", fingerprint(workspace.fingerprint_of("fuse"), place))
     return Cloud(parts, frame)

@@ -79,7 +79,8 @@ class ViewField:
         counts = np.array([int(bits).bit_count() for bits in self.allowed.flat], np.uint8)
         rows = np.arange(window.y0, window.y1) // self.side
         columns = np.arange(window.x0, window.x1) // self.side
-        return counts.reshape(self.allowed.shape)[np.ix_(rows, columns)]
+        of_pixels: npt.NDArray[np.uint8] = counts.reshape(self.allowed.shape)[np.ix_(rows, columns)]
+        return of_pixels
 
     def parts(self, window: Rectangle) -> list[Rectangle]:
         """What of a window lies in each of the blocks that it touches, row by row."""

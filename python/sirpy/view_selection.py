@@ -6,6 +6,7 @@ windows of the sub-images follow from them (see `sirpy.view_windows`).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from sirpy.colmap_lists import is_listable, is_source, names_note
 from sirpy.errors import InputError
 from sirpy.files import fingerprint, read_json, write_json, written_whole
+from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
@@ -24,6 +26,7 @@ from sirpy.view_windows import HALO, LEAST_COARSEST, Source, SubImageViews, View
 from sirpy.workspace import Workspace
 
 MOST_OF_A_BLOCK = 16  # sources that a place is matched against
+NUM_SOURCES = 8  # that a place is matched against, unless the user says otherwise
 _VERSION = 2  # of views.json
 _SOURCE_SUB_IMAGES = 20  # of other images, listed for COLMAP
 
@@ -47,7 +50,7 @@ class Views:
 def views(
     workspace: Workspace,
     *,
-    num_sources: int = 8,
+    num_sources: int = NUM_SOURCES,
     halo: int = HALO,
     progress: Progress | None = None,
 ) -> Views:
@@ -92,6 +95,28 @@ def views(
         progress.note(note)
     _write_views(workspace.views, result)
     return result
+
+
+class Selected:
+    """What fusion needs of the views: the field of each native image, found when it is asked for, and ranks."""
+
+    def __init__(self, field: Callable[[str], ViewField], rank: Mapping[str, int]) -> None:
+        self.field, self.rank = field, rank
+
+
+def selected_views(
+    workspace: Workspace, scene: NativeScene, natives: Mapping[str, NativeImage]
+) -> Selected:
+    """The views of a workspace; of one that another program made, what would be chosen for `natives`.
+
+    Raises:
+        InputError: views.json is missing or damaged.
+    """
+    if workspace.has_views:
+        found = read_views(workspace)
+        return Selected(found.fields.__getitem__, found.rank)
+    covered = {name: native.covered for name, native in natives.items()}
+    return Selected(ViewSelection(scene, covered, NUM_SOURCES, 0).field, _ranks(scene))
 
 
 def check_num_sources(num_sources: int) -> None:

@@ -31,10 +31,16 @@ _BYTES_PER_PIXEL = {"grey": 1, "color": 3, "all": 8}
 
 
 Pixels = Literal["grey", "color", "all"]
+FloatMap = NDArray[np.float32]
 
 
 def read_window(
-    workspace: Workspace, native_name: str, rectangle: Rectangle, pixels: Pixels = "grey"
+    workspace: Workspace,
+    native_name: str,
+    rectangle: Rectangle,
+    pixels: Pixels = "grey",
+    *,
+    again: bool = True,
 ) -> NDArray[Any]:
     """The pixels of `rectangle` of a native image; 0 where no sub-image holds any.
 
@@ -44,6 +50,8 @@ def read_window(
             numbers; "color": 8 bit, (height, width, 3); "all": as stored, (height, width, channels),
             8 or 16 bit. 16-bit samples become 8 bit so that the brightest photograph's white is
             255.
+        again: whether more is going to be read of the same sub-images, which are then kept, decoded,
+            within a bound of memory.
 
     Raises:
         ValueError: the rectangle is not inside the native image.
@@ -54,7 +62,7 @@ def read_window(
     for sub, part in _parts(native, rectangle):
         rows, columns = part.slices_in(sub.stored)
         seen = _CACHE.read(
-            workspace.image(sub), sub.stored, (rows, columns), pixels, workspace.white
+            workspace.image(sub), sub.stored, (rows, columns), pixels, workspace.white, again
         )
         if window is None:
             window = np.zeros((rectangle.height, rectangle.width, *seen.shape[2:]), seen.dtype)
@@ -103,6 +111,7 @@ class _ImageCache:
         slices: tuple[slice, slice],
         pixels: Pixels,
         white: int,
+        again: bool = True,
     ) -> NDArray[Any]:
         """Rows and columns of an image file of the size of `stored`."""
         rows, columns = slices
@@ -118,7 +127,7 @@ class _ImageCache:
                 self._images.move_to_end(key)
                 return found[slices]
         size = _BYTES_PER_PIXEL[pixels] * stored.area
-        if 4 * size > self._most_bytes:
+        if not again or 4 * size > self._most_bytes:
             window = columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
             return _read_file(path, Rectangle(*window), pixels, white)
         image = _read_file(path, Rectangle(0, 0, stored.width, stored.height), pixels, white)
@@ -147,10 +156,10 @@ def read_map_window(
     workspace: Workspace,
     native: NativeImage,
     rectangle: Rectangle,
-    kind: Literal["depth", "normal"],
+    kind: Literal["depth", "normal", "confidence"],
     of_pass: Pass = "geometric",
-) -> NDArray[np.float32]:
-    """`rectangle` of a depth map, (height, width), or of a normal map, (3, height, width).
+) -> FloatMap:
+    """`rectangle` of a depth or confidence map, (height, width), or of a normal map, (3, height, width).
 
     0 where no sub-image holds any.
 
@@ -158,16 +167,18 @@ def read_map_window(
         ValueError: the rectangle is not inside the native image.
         InputError: a map is missing, truncated, or of another size than its sub-image.
     """
-    path_of: Callable[[SubImage, Pass], Path] = (
-        workspace.depth_map if kind == "depth" else workspace.normal_map
-    )
-    channels = 1 if kind == "depth" else 3
+    paths: dict[str, Callable[[SubImage], Path]] = {
+        "depth": lambda sub: workspace.depth_map(sub, of_pass),
+        "normal": lambda sub: workspace.normal_map(sub, of_pass),
+        "confidence": workspace.confidence_map,
+    }
+    channels = 3 if kind == "normal" else 1
     window = np.zeros((channels, rectangle.height, rectangle.width), np.float32)
     for sub, part in _parts(native, rectangle):
-        planes = open_map(path_of(sub, of_pass), sub.stored, channels)
+        planes = open_map(paths[kind](sub), sub.stored, channels)
         pixels = planes[(slice(None), *part.slices_in(sub.stored))]
         window[(slice(None), *part.slices_in(rectangle))] = pixels
-    return window[0] if kind == "depth" else window
+    return window if kind == "normal" else window[0]
 
 
 def open_map(path: Path, stored: Rectangle, channels: int = 1) -> NDArray[np.float32]:
@@ -180,7 +191,8 @@ def open_map(path: Path, stored: Rectangle, channels: int = 1) -> NDArray[np.flo
     if planes.shape != (channels, stored.height, stored.width):
         raise InputError(
             f"map {path} has the shape {planes.shape}, but its sub-image "
-            f"{(channels, stored.height, stored.width)}: delete it and run the stereo again"
+            f"{(channels, stored.height, stored.width)}: delete it and run the stereo again (COLMAP's with "
+            "--PatchMatchStereo.max_image_size -1)"
         )
     return planes
 

@@ -173,6 +173,11 @@ class Workspace:
         return self.folder / "views.json"
 
     @property
+    def has_views(self) -> bool:
+        """Whether view selection belongs to it, rather than maps of another program."""
+        return True
+
+    @property
     def stereo(self) -> Path:
         return self.folder / "stereo"
 
@@ -269,6 +274,11 @@ class Workspace:
         """A picture of what stereo found in a sub-image or a native image."""
         return self.folder / "explained" / f"{name}.png"
 
+    @property
+    def fused_parts(self) -> Path:
+        """Which sub-images have given points, written when all have."""
+        return self.folder / "fusion" / "parts.json"
+
     def fused_part(self, sub_image: SubImage) -> Path:
         return self.folder / "fusion" / f"{sub_image.name}.npy"
 
@@ -312,6 +322,14 @@ class Workspace:
     def tile(self, name: str, extension: str) -> Path:
         """A product of one tile of the ground: tiles/NAME.laz, tiles/NAME.dsm.tif ..."""
         return self.folder / "tiles" / f"{name}.{extension}"
+
+    def tiles_made(self, extension: str) -> list[Path]:
+        """The products of that kind that tiles of the ground have."""
+        # The name of a tile has no dot: NAME.ply is not NAME.mesh.ply.
+        made = self.tile("*", extension)
+        return sorted(
+            p for p in made.parent.glob(made.name) if "." not in p.name[: -len(extension) - 1]
+        )
 
     @property
     def report(self) -> Path:

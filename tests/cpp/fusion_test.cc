@@ -24,7 +24,7 @@ std::vector<RenderedView> PlaneViews() {
 FusedPoints FuseAll(const DepthView& reference, const float* normal,
                     const std::vector<DepthView>& sources, const FusionOptions& options) {
   const uint32_t allowed = (1u << sources.size()) - 1;
-  return Fuse(reference, normal, sources, {1 << 20, 1, 1, &allowed}, options);
+  return Fuse(reference, {normal}, sources, {1 << 20, 1, 1, &allowed}, options);
 }
 
 FusedPoints FuseView(const std::vector<RenderedView>& views, size_t reference,
@@ -42,10 +42,11 @@ TEST(Fusion, PerfectDepthsGiveAPerfectCloud) {
   const FusedPoints points = FuseView(views, 0);
   ASSERT_GT(points.pixel.size(), 0.7 * 120 * 90);
   for (size_t i = 0; i < points.pixel.size(); ++i) {
-    const Eigen::Map<const Eigen::Vector3d> point(&points.position[3 * i]);
+    const Eigen::Map<const Eigen::Vector3d> point(points.points[i].position);
     EXPECT_NEAR(kNormal.dot(point), kNormal.z() * 10, 1e-4);
-    EXPECT_GT(Eigen::Map<const Eigen::Vector3f>(&points.normal[3 * i]).cast<double>().dot(kNormal),
-              0.9999);
+    EXPECT_GT(
+        Eigen::Map<const Eigen::Vector3f>(points.points[i].normal).cast<double>().dot(kNormal),
+        0.9999);
     // On the ray of the pixel's centre: no half pixel is lost.
     const RenderedView& view = views[0];
     const Eigen::Vector2d pixel =
@@ -112,11 +113,12 @@ TEST(Fusion, AWindowGivesThePointsOfTheWhole) {
   for (size_t i = 0; i < whole.pixel.size(); ++i) {
     if (whole.pixel[i] % 120 < 60) {
       of_whole.insert(
-          {whole.position[3 * i], whole.position[3 * i + 1], whole.position[3 * i + 2]});
+          {whole.points[i].position[0], whole.points[i].position[1], whole.points[i].position[2]});
     }
   }
   for (size_t i = 0; i < part.pixel.size(); ++i) {
-    of_part.insert({part.position[3 * i], part.position[3 * i + 1], part.position[3 * i + 2]});
+    of_part.insert(
+        {part.points[i].position[0], part.points[i].position[1], part.points[i].position[2]});
   }
   EXPECT_EQ(of_whole, of_part);
 }
@@ -130,11 +132,11 @@ TEST(Fusion, APixelCountsTheSourcesOfItsBlockAlone) {
   FusionOptions options;
   options.keep_duplicates = true;
   const auto fused = [&] {
-    return Fuse(views[0].Depths(0), views[0].normal.data(), sources, {60, 2, 2, halves}, options);
+    return Fuse(views[0].Depths(0), {views[0].normal.data()}, sources, {60, 2, 2, halves}, options);
   };
   const FusedPoints points = fused();
   for (size_t i = 0; i < points.pixel.size(); ++i) {
-    EXPECT_TRUE(points.pixel[i] % 120 < 60 || points.num_views[i] == 2);
+    EXPECT_TRUE(points.pixel[i] % 120 < 60 || points.points[i].num_views == 2);
   }
   // A source of which nothing is given sees nothing.
   sources[1].depth = nullptr;
@@ -143,10 +145,10 @@ TEST(Fusion, APixelCountsTheSourcesOfItsBlockAlone) {
   EXPECT_GT(without.pixel.size(), 0.25 * 120 * 90);
   const uint32_t unknown = 8;
   EXPECT_THROW(
-      Fuse(views[0].Depths(0), views[0].normal.data(), sources, {200, 1, 1, &unknown}, options),
+      Fuse(views[0].Depths(0), {views[0].normal.data()}, sources, {200, 1, 1, &unknown}, options),
       std::invalid_argument);
   EXPECT_THROW(
-      Fuse(views[0].Depths(0), views[0].normal.data(), sources, {60, 1, 1, halves}, options),
+      Fuse(views[0].Depths(0), {views[0].normal.data()}, sources, {60, 1, 1, halves}, options),
       std::invalid_argument);
 }
 

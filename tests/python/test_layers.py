@@ -10,7 +10,7 @@ import sirpy
 PACKAGE = Path(sirpy.__file__).parent
 # Each line may import from the lines above it, and from modules to its left.
 LAYERS = """
-    engine_options errors files memory npy rectangle resources
+    child_process engine_options errors crs files memory npy rectangle resources
     native_images workspace progress
     weights
     _core
@@ -27,12 +27,16 @@ LAYERS = """
     cmp_mvs mvsnet pmvs colmap_workspace
     exporting
     undistorter_options sir_undistorter colmap_launcher
-    frame cloud
+    frame cloud depth_maps colmap_dense
     fusion
+    similarity local_frame point_tables places camera_positions ground_control alignment aligning
     georeference tiles products
+    laz point_selection cloud_files tiles3d tiles3d_worker
+    lattice block_store raster_files surface_model best_views orthophoto
+    mesh_cutting mesh_files point_groups mesh_tiles mesh_matching mesh_joints mesh
     overview cloud_picture explaining html_report
-    pipeline demo plan_table
-    weights_cli cli __main__
+    deliverables pipeline demo plan_table
+    weights_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 

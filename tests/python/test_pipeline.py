@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sirpy.area import Area
+from sirpy.cloud import POINT
 from sirpy.colmap_launcher import installed_colmap
 from sirpy.cutting import cut as cut_photographs
 from sirpy.dense_stereo import stereo
@@ -134,7 +135,8 @@ def test_every_missing_pixel_has_a_reason(cut: Path) -> None:
 
 def test_the_cloud_is_binary_with_normals_and_colours(cut: Path) -> None:
     points = read_vertices(cut / "fused.ply")
-    assert points.dtype.names == ("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue")
+    assert points.dtype == POINT
+    assert ((points["confidence"] > 0) & (points["confidence"] <= 1)).all()
     assert len(points) > 10_000
     assert all(np.isfinite(points[name]).all() for name in ("x", "y", "z", "nx", "ny", "nz"))
 

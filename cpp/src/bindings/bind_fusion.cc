@@ -5,6 +5,7 @@
 
 #include "bindings/arrays.h"
 #include "bindings/bindings.h"
+#include "depth_normals.h"
 #include "fusion.h"
 
 namespace py = pybind11;
@@ -32,26 +33,54 @@ OwnedDepthView MakeDepthView(const Eigen::Matrix3d& intrinsics, const Pose& cam_
   return owned;
 }
 
+// Points as bytes, and how many pixels gave none for which reason.
 py::tuple RunFuse(const OwnedDepthView& reference, const Array<float>& normal,
+                  const Array<uint8_t>& color, const std::optional<Array<float>>& confidence,
                   const std::vector<std::optional<OwnedDepthView>>& sources, int block_side,
                   const Array<uint32_t>& allowed, const FusionOptions& options) {
-  CheckPlanes(normal, reference.depth.shape(0), reference.depth.shape(1), "normal",
-              "the reference's depth");
+  const auto height = reference.depth.shape(0), width = reference.depth.shape(1);
+  CheckPlanes(normal, height, width, "normal", "the reference's depth");
+  CheckDimensions(color, 3, "color");
+  if (color.shape(0) != height || color.shape(1) != width || color.shape(2) != 3) {
+    throw py::value_error("color must have 3 channels of the size of the reference's depth");
+  }
+  if (confidence) CheckMap(*confidence, height, width, "confidence", "the reference's depth");
   CheckDimensions(allowed, 2, "allowed");
   const SourceBlocks blocks{block_side, int(allowed.shape(1)), int(allowed.shape(0)),
                             allowed.data()};
+  const ReferenceMaps maps{normal.data(), color.data(), confidence ? confidence->data() : nullptr};
   std::vector<DepthView> views;
   for (const auto& source : sources) views.push_back(source ? source->view : DepthView{});
-  FusedPoints points;
+  FusedPoints fused;
   {
     py::gil_scoped_release release;
-    points = Fuse(reference.view, normal.data(), views, blocks, options);
+    fused = Fuse(reference.view, maps, views, blocks, options);
   }
-  const auto count = py::ssize_t(points.pixel.size());
-  return py::make_tuple(
-      ToArray(std::move(points.position), {count, 3}),
-      ToArray(std::move(points.normal), {count, 3}), ToArray(std::move(points.pixel), {count}),
-      ToArray(std::move(points.num_views), {count}), points.num_inconsistent, points.num_yielded);
+  const auto bytes = py::ssize_t(fused.points.size() * sizeof(FusedPoint));
+  auto owned = std::make_unique<std::vector<FusedPoint>>(std::move(fused.points));
+  const auto* data = reinterpret_cast<const uint8_t*>(owned->data());
+  py::capsule owner(owned.release(),
+                    [](void* p) { delete static_cast<std::vector<FusedPoint>*>(p); });
+  return py::make_tuple(py::array_t<uint8_t>({bytes}, data, owner),
+                        py::make_tuple(fused.num_invalid, fused.num_inconsistent,
+                                       fused.num_seen_through, fused.num_yielded));
+}
+
+Array<float> RunNormalsOfDepth(const Array<float>& depth, const Eigen::Matrix3d& intrinsics,
+                               int64_t x0, int64_t y0, int threads) {
+  CheckDimensions(depth, 2, "depth");
+  const Rectangle window{x0, y0, depth.shape(1) - 2 * kNormalReach,
+                         depth.shape(0) - 2 * kNormalReach};
+  if (window.width < 1 || window.height < 1) {
+    throw py::value_error("depth must have " + std::to_string(kNormalReach) +
+                          " pixels around the window");
+  }
+  std::vector<float> normals;
+  {
+    py::gil_scoped_release release;
+    normals = NormalsOfDepth(depth.data(), window, intrinsics, threads);
+  }
+  return ToArray(std::move(normals), {3, window.height, window.width});
 }
 
 }  // namespace
@@ -63,6 +92,7 @@ void BindFusion(py::module_& module) {
       .def_readwrite("consistency", &FusionOptions::consistency)
       .def_readwrite("yield_shift", &FusionOptions::yield_shift)
       .def_readwrite("yield_footprint", &FusionOptions::yield_footprint)
+      .def_readwrite("see_through", &FusionOptions::see_through)
       .def_readwrite("keep_duplicates", &FusionOptions::keep_duplicates)
       .def_readwrite("threads", &FusionOptions::threads)
       .def("validate", &FusionOptions::Validate);
@@ -73,8 +103,12 @@ void BindFusion(py::module_& module) {
            py::arg("depth").noconvert());
 
   module.def("fuse", &RunFuse, py::arg("reference"), py::arg("normal").noconvert(),
-             py::arg("sources"), py::kw_only(), py::arg("block_side"),
-             py::arg("allowed").noconvert(), py::arg("options"));
+             py::arg("color").noconvert(), py::arg("confidence").noconvert(), py::arg("sources"),
+             py::kw_only(), py::arg("block_side"), py::arg("allowed").noconvert(),
+             py::arg("options"));
+  module.attr("NORMAL_REACH") = kNormalReach;
+  module.def("normals_of_depth", &RunNormalsOfDepth, py::arg("depth").noconvert(), py::kw_only(),
+             py::arg("intrinsics"), py::arg("x0"), py::arg("y0"), py::arg("threads") = 0);
 }
 
 }  // namespace sirpy

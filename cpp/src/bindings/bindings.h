@@ -10,6 +10,7 @@ void BindSparseModel(pybind11::module_& module);
 void BindStereo(pybind11::module_& module);
 void BindPatchmatchnet(pybind11::module_& module);
 void BindFusion(pybind11::module_& module);
+void BindSurfaceModel(pybind11::module_& module);
 void BindSynthetic(pybind11::module_& module);
 
 }  // namespace sirpy

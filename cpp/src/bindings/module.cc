@@ -28,5 +28,6 @@ PYBIND11_MODULE(_core, module) {
   sirpy::BindStereo(module);
   sirpy::BindPatchmatchnet(module);
   sirpy::BindFusion(module);
+  sirpy::BindSurfaceModel(module);
   sirpy::BindSynthetic(module);
 }
