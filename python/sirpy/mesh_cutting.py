@@ -45,8 +45,8 @@ def cut(mesh: TileMesh, corners: Floats, cell: float) -> TileMesh:
         corners: (4, 2), counter-clockwise, x and y.
         cell: length of the mesh's finest edges.
     """
-    for side, (begin, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
-        mesh = _cut_at(mesh, side, begin, end, _SNAP * cell)
+    for side in range(4):
+        mesh = _cut_at(mesh, side, corners, _SNAP * cell)
     return without_unused(mesh)
 
 
@@ -67,14 +67,19 @@ def open_edges(faces: Indices) -> tuple[Indices, Indices]:
     return edges[alone], alone
 
 
-def _cut_at(mesh: TileMesh, side: int, begin: Floats, end: Floats, snap: float) -> TileMesh:
+def _cut_at(mesh: TileMesh, side: int, corners: Floats, snap: float) -> TileMesh:
     """Keeps what lies left of the vertical plane through two corners."""
-    along = (end - begin) / np.linalg.norm(end - begin)
-    inward = np.array([-along[1], along[0]])
-    height = (mesh.positions[:, :2] - begin) @ inward
+    along = np.roll(corners, -1, axis=0) - corners
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    inward = np.array([-along[side, 1], along[side, 0]])
+    height = (mesh.positions[:, :2] - corners[side]) @ inward
     near = np.abs(height) < snap
     positions, sides = mesh.positions.copy(), mesh.sides.copy()
     positions[near, :2] -= height[near, None] * inward
+    for earlier in {side - 1, (side + 1) % 4} & set(range(side)):  # what lies there stays there
+        both = near & ((sides >> earlier) & 1).astype(bool)
+        way = along[earlier] / (along[earlier] @ inward)
+        positions[both, :2] = mesh.positions[both, :2] - height[both, None] * way
     sides[near] |= 1 << side
     height[near] = 0
     mesh = TileMesh(positions, mesh.normals, mesh.colours, sides, mesh.faces)
