@@ -18,6 +18,7 @@ constexpr double kSpacing = 1.2;          // GSD: how far apart points are at mo
 constexpr double kFarthest = 2;           // reaches of the options: that of a coarse point
 constexpr double kNeighbourhood = 3;      // reaches of the options: where a layer has support
 constexpr double kSlope = 0.5;            // of a layer that is seen across a gap
+constexpr double kFarEdge = 2;            // longest gaps: how far edges are looked for
 constexpr double kLowerShare = 0.25;      // of the edges of the strongest layer, that make a layer
 constexpr double kSteepest = 0.4;         // nz: what is steeper is not carried along its tangent
 
@@ -217,13 +218,13 @@ struct Edge {
 };
 
 // The height of the lowest layer of edges that enough of them belong to.
-double LowerSide(std::vector<Edge>* edges, double cell, double step) {
+double LowerSide(std::vector<Edge>* edges, const GapOptions& options) {
   std::sort(edges->begin(), edges->end(), [](const Edge& a, const Edge& b) {
     return a.height != b.height ? a.height < b.height : a.distance < b.distance;
   });
   const auto in_layer = [&](const Edge& lowest, const Edge& edge) {
-    const double slope = kSlope * cell * (edge.distance + lowest.distance);
-    return edge.height >= lowest.height && edge.height <= lowest.height + step + slope;
+    const double slope = kSlope * options.cell * (edge.distance + lowest.distance);
+    return edge.height >= lowest.height && edge.height <= lowest.height + options.step + slope;
   };
   std::vector<int64_t> sizes;
   for (const Edge& lowest : *edges) {
@@ -278,36 +279,42 @@ std::vector<float> SurfaceHeights(const CloudPoint* points, int64_t count, const
   return heights;
 }
 
-std::vector<float> FillGaps(const float* heights, int64_t width, int64_t height, double longest,
-                            double cell, double step) {
-  std::vector<float> filled(heights, heights + width * height);
-  // What is seen first from a cell, at most `longest` cells away; no distance: nothing.
-  const auto look = [&](int64_t x, int64_t y, int64_t dx, int64_t dy) {
-    const double length = std::sqrt(double(dx * dx + dy * dy));
-    for (int64_t i = 1; double(i) * length <= longest; ++i) {
-      const int64_t u = x + i * dx, v = y + i * dy;
-      if (u < 0 || v < 0 || u >= width || v >= height) break;
-      const float seen = heights[v * width + u];
+int64_t GapOptions::Margin() const { return int64_t(std::ceil(kFarEdge * longest)); }
+
+std::vector<float> FillGaps(const float* heights, int64_t width, int64_t height,
+                            const GapOptions& options) {
+  // What is seen first from a cell, at most `farthest` cells away; no distance: nothing.
+  const auto look = [&](int64_t x, int64_t y, const Direction& way, double farthest) {
+    const double length = std::sqrt(double(way.dx * way.dx + way.dy * way.dy));
+    for (int64_t i = 1; double(i) * length <= farthest; ++i) {
+      const float seen = heights[(y + i * way.dy) * width + x + i * way.dx];
       if (!std::isnan(seen)) return Edge{seen, double(i) * length};
     }
     return Edge{0, 0};
   };
+  const auto is_closed = [&](int64_t x, int64_t y) {
+    return std::any_of(kAxes.begin(), kAxes.end(), [&](const Direction& axis) {
+      const Edge ahead = look(x, y, axis, options.longest);
+      if (ahead.distance == 0) return false;
+      const double left = options.longest + 1 - ahead.distance;
+      return look(x, y, {-axis.dx, -axis.dy}, left).distance > 0;
+    });
+  };
+  const int64_t margin = options.Margin();
+  std::vector<float> filled;
   std::vector<Edge> edges;
-  for (int64_t y = 0; y < height; ++y) {
-    for (int64_t x = 0; x < width; ++x) {
-      float& hole = filled[size_t(y * width + x)];
-      if (!std::isnan(hole)) continue;
+  for (int64_t y = margin; y < height - margin; ++y) {
+    for (int64_t x = margin; x < width - margin; ++x) {
+      filled.push_back(heights[y * width + x]);
+      if (!std::isnan(filled.back()) || !is_closed(x, y)) continue;
       edges.clear();
-      bool closed = false;
       for (const Direction& axis : kAxes) {
-        const Edge ahead = look(x, y, axis.dx, axis.dy), behind = look(x, y, -axis.dx, -axis.dy);
-        if (ahead.distance > 0) edges.push_back(ahead);
-        if (behind.distance > 0) edges.push_back(behind);
-        closed |= ahead.distance > 0 && behind.distance > 0 &&
-                  ahead.distance + behind.distance - 1 <= longest;
+        for (const Direction& way : {axis, Direction{-axis.dx, -axis.dy}}) {
+          const Edge edge = look(x, y, way, kFarEdge * options.longest);
+          if (edge.distance > 0) edges.push_back(edge);
+        }
       }
-      if (!closed) continue;
-      hole = float(LowerSide(&edges, cell, step));
+      filled.back() = float(LowerSide(&edges, options));
     }
   }
   return filled;

@@ -55,12 +55,21 @@ struct SurfaceOptions {
 std::vector<float> SurfaceHeights(const CloudPoint* points, int64_t count, const CellWindow& window,
                                   const SurfaceOptions& options);
 
-// Fills cells without a height that lie in a gap of at most `longest` cells along one of eight
-// axes, from the lower side of the gap: what is hidden beside a building is ground. Of what is seen
-// first in 16 directions, the lowest layer that is seen in enough of them counts, by inverse square
-// distance; a layer may rise by `step` and half the distance. Cells farther than `longest` do not
-// matter. `cell`, `step`: units.
-std::vector<float> FillGaps(const float* heights, int64_t width, int64_t height, double longest,
-                            double cell, double step);
+struct GapOptions {
+  double longest = 1;  // cells: gaps that are wider stay
+  double cell = 1;     // side, units
+  double step = 1;     // units: what may lie between the heights of one layer
+
+  // Cells around a window whose heights count in it.
+  int64_t Margin() const;
+};
+
+// The heights of a window, row-major, of those of the window and its margin (width x height in
+// all). A cell without a height gets one where it lies in a gap of at most the longest width along
+// one of eight axes, from the lower side of the gap: what is hidden beside a building is ground. Of
+// what is seen first in 16 directions, within two such widths, the lowest layer that is seen in
+// enough of them counts, by inverse square distance; a layer may rise by half the distance.
+std::vector<float> FillGaps(const float* heights, int64_t width, int64_t height,
+                            const GapOptions& options);
 
 }  // namespace sirpy

@@ -353,11 +353,20 @@ def surface_heights(
     """Heights (height, width) of a window of the lattice; NaN where there is none. points: of
     sirpy.cloud.POINT. Releases the GIL."""
 
-def fill_gaps(
-    heights: NDArray[np.float32], *, longest: float, cell: float, step: float
-) -> NDArray[np.float32]:
-    """The same heights, gaps of at most `longest` cells filled from their lower side; `cell` and
-    `step` in the unit of the heights. Releases the GIL."""
+class GapOptions:
+    """Units and bounds: cpp/src/surface_model.h."""
+
+    longest: float
+    cell: float
+    step: float
+    def __init__(self) -> None: ...
+    @property
+    def margin(self) -> int:
+        """Cells around a window whose heights count in it."""
+
+def fill_gaps(heights: NDArray[np.float32], *, options: GapOptions) -> NDArray[np.float32]:
+    """The heights of a window, narrow gaps filled from their lower side, of those of the window and
+    its margin. Releases the GIL."""
 
 # ---- synthetic scenes (sirpy.synthetic, sirpy.truth)
 

@@ -12,17 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.depth_maps import DepthMaps
 from sirpy.frame import Floats, Frame
 from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeCamera, read_native_scene
 from sirpy.rectangle import Rectangle
-from sirpy.windows import read_map_window, read_mask_window, read_window
+from sirpy.windows import read_mask_window, read_window
 from sirpy.workspace import Workspace
 
 _TOLERANCE = 6  # pixels' size at the place: what a depth map may differ by
 _AROUND = 2  # pixels: something in front that near may show at the place too
 _STEEPEST = 0.2  # least cosine of the angle from the nadir
-_FEATHER = 0.002  # relative difference of two samplings, up to which their colours are mixed
+_FEATHER = 5  # pixels on each side of a seam, over which colours are mixed
+_SHARP = 1e-9
 # Added to a sampling, so that any view of a better kind goes before.
 _NOTHING_NEAR = 0.0
 _EDGE_NEAR = 1e6
@@ -37,7 +39,7 @@ Indices = npt.NDArray[np.int64]
 class _View:
     """A photograph as it sees places that are given from the origin of the frame's model."""
 
-    native: NativeImage
+    native: NativeImage  # with the sub-images that have a depth map
     focal: float  # pixels
     centre: Floats  # (3,)
     pixel_from_place: Floats  # (3, 4), homogeneous; the last is the depth, in the unit of the model
@@ -64,20 +66,27 @@ class _View:
 
 
 class BestViews:
-    """The photographs of a workspace as they see the frame of its products."""
+    """The photographs of a workspace as they see the frame of its products.
+
+    Attributes:
+        left_out: sub-images that show nothing, since they have no depth map, and why.
+    """
 
     def __init__(self, workspace: Workspace, frame: Frame) -> None:
-        """Raises InputError where the native model is missing or damaged."""
+        """Raises InputError where the native model is missing or damaged, or there is no sound depth map."""
         cameras = read_native_scene(workspace).cameras
+        self._maps = DepthMaps(workspace)
         self._workspace, self._origin = workspace, frame.translation
-        natives = [native for native in workspace.natives if native.name in cameras]
+        natives = [native for name, native in self._maps.natives.items() if name in cameras]
         self._views = [_make_view(native, cameras[native.name], frame) for native in natives]
+        self.left_out = self._maps.left_out
+        self._centres = np.array([view.centre for view in self._views]).reshape(-1, 3)
 
     def colours(self, places: Floats) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
         """(RGB (n, 3), seen (n,)) of places (n, 3) of the frame that lie near each other.
 
         Raises:
-            InputError: a depth map or a sub-image is missing or damaged.
+            InputError: a sub-image is missing or damaged.
         """
         places = np.ascontiguousarray((places - self._origin).T)
         choice = _Choice(places.shape[1])
@@ -88,7 +97,7 @@ class BestViews:
             sampling = view.sampling(places)
             asked = np.flatnonzero(sampling <= np.minimum(choice.key[1], _LARGEST))
             if len(asked) > 0:
-                kind = _kinds(self._workspace, view, places[:, asked])
+                kind = _kinds(self._workspace, self._maps, view, places[:, asked])
                 choice.offer(asked, sampling[asked] + kind, number)
         return self._mixed(places, choice)
 
@@ -106,9 +115,14 @@ class BestViews:
         """The colours of the best views, those of the second mixed in where both are nearly as good: no sharp
         seam."""
         (first, second), (best, next_best) = choice.view, choice.key
-        with np.errstate(invalid="ignore"):
-            apart = np.minimum((next_best - best) / (_FEATHER * best), 1)
-        weight = np.where(next_best < _EDGE_NEAR, 0.5 + 0.5 * apart, 1.0)
+        weight = np.ones(places.shape[1])
+        mixed = np.flatnonzero(next_best < _EDGE_NEAR)
+        if len(mixed) > 0:
+            one, other = self._centres[first[mixed]].T, self._centres[second[mixed]].T
+            # How fast two samplings of one height part, across the line where they are equal.
+            slope = 3 * np.hypot(*(one - other)[:2]) / (one[2] - places[2, mixed]) ** 2
+            fade = np.maximum(_FEATHER * best[mixed] * slope, _SHARP)
+            weight[mixed] = 0.5 + 0.5 * np.minimum((next_best[mixed] / best[mixed] - 1) / fade, 1)
         colours = np.zeros((places.shape[1], 3))
         for number, view in enumerate(self._views):
             for chosen, share in ((first, weight), (second, 1 - weight)):
@@ -167,7 +181,7 @@ def _dot(row: Floats, places: Floats) -> Floats:
     return dot
 
 
-def _kinds(workspace: Workspace, view: _View, places: Floats) -> Floats:
+def _kinds(workspace: Workspace, maps: DepthMaps, view: _View, places: Floats) -> Floats:
     """How places (3, n) are seen: one of the three kinds, or infinite where they are not."""
     kinds = np.full(places.shape[1], np.inf)
     u, v, depth = view.project(places)
@@ -178,7 +192,7 @@ def _kinds(workspace: Workspace, view: _View, places: Floats) -> Floats:
     column, row, depth = u[seen].astype(np.int64), v[seen].astype(np.int64), depth[seen]
     window = _window(column, row, _AROUND, view.native)
     column, row = column - window.x0, row - window.y0
-    stored = read_map_window(workspace, view.native, window, "depth")
+    stored = maps.depth(view.native.name, window)
     stored = np.where(stored > 0, stored, np.float32(np.inf))
     at, around = stored[row, column], _least_around(stored)[row, column]
     nearest = depth - _TOLERANCE * depth / view.focal
@@ -205,7 +219,7 @@ def _least_around(depths: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
 
 
 def _usable(workspace: Workspace, native: NativeImage, window: Rectangle) -> npt.NDArray[np.bool_]:
-    """Where a window is stored, and not masked out."""
+    """Where a window is of a sub-image that has a depth map, and not masked out."""
     usable = np.zeros((window.height, window.width), bool)
     for sub_image in native.sub_images:
         part = sub_image.stored.intersection(window)

@@ -29,10 +29,6 @@ app = typer.Typer(
     context_settings={"token_normalize_func": lambda token: token.replace("_", "-")},
 )
 app.add_typer(weights_cli.app, name="weights")
-georeference_cli.register(app)
-app.add_typer(rasters_cli.app)
-tiles3d_cli.register(app)
-mesh_cli.register(app)
 
 Images = Annotated[Path, typer.Argument(help="Folder of photographs.", show_default=False)]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder of the workspace.")]
@@ -416,10 +412,23 @@ def fuse(
     keep_duplicates: Annotated[
         bool, typer.Option(help="Every view emits the surface, not only the one that sees it best.")
     ] = False,
+    format: Annotated[
+        str | None,
+        typer.Option(help="Besides fused.ply, in the CRS: laz (with its CRS) or ply."),
+    ] = None,
+    tiles: Annotated[
+        str | None,
+        typer.Option(help="With --format: one file for each tile, 100 (a length) or quadkey:19."),
+    ] = None,
+    spacing: Annotated[
+        float | None,
+        typer.Option(help="With --format: only the best point of each cube of this side."),
+    ] = None,
     threads: Threads = 0,
     quiet: Quiet = False,
 ) -> None:
     """The depth maps as one cloud; those of a dense workspace that COLMAP made, too."""
+    from sirpy.cloud_files import export_cloud
     from sirpy.colmap_dense import open_workspace
     from sirpy.fusion import FusionOptions
     from sirpy.fusion import fuse as run
@@ -431,9 +440,17 @@ def fuse(
         keep_duplicates=keep_duplicates,
         threads=threads,
     )
-    folder = open_workspace(workspace)
-    made = run(folder, options=options, progress=make_progress(quiet))
+    if format is None and (tiles or spacing is not None):
+        raise InputError("--tiles and --spacing belong to --format: give --format laz or ply too")
+    folder, progress = open_workspace(workspace), make_progress(quiet)
+    made = run(folder, options=options, progress=progress)
     print(f"cloud: {folder.fused} ({made.points:,} points)")
+    if format is not None:
+        files = export_cloud(
+            folder, format=cast(Any, format), tiles=tiles, spacing=spacing, progress=progress
+        )
+        for path in files[:1]:  # none without points
+            print(f"{format}: {path.parent if tiles else path}")
     _report_left_out(made.left_out, "depth maps")
 
 
@@ -460,6 +477,12 @@ def demo(
     made = run(output, memory=parse_memory(memory), progress=make_progress(quiet))
     print(made.evaluation)
     _print_result(made.reconstruction, memory)
+
+
+georeference_cli.register(app)
+app.add_typer(rasters_cli.app)
+mesh_cli.register(app)
+tiles3d_cli.register(app)
 
 
 def _print_result(result: Reconstruction, memory: str) -> None:

@@ -32,7 +32,8 @@ def export_cloud(
 
     Args:
         tiles: one file for each tile with points, OUT/tiles/NAME.laz: "250" for squares of that side, "quadkey:19"
-            for Bing's; every point is in exactly one. None for one file, OUT/fused.laz.
+            for Bing's; every point is in exactly one. None for one file, OUT/fused.laz or
+            OUT/cloud.ply. (OUT/fused.ply is in the frame of the model.)
         spacing: keeps only the best point of each cube of that side; all points if None.
 
     Raises:
@@ -46,7 +47,7 @@ def export_cloud(
     selection = PointSelection(cloud, spacing)
     write = _WRITERS[format]
     if tiles is None:
-        path = workspace.fused_laz if format == "laz" else workspace.fused
+        path = workspace.fused_laz if format == "laz" else workspace.cloud_ply
         with progress.stage(format, cloud.count, "point") as step:
             write(path, cloud, selection.all(step))
         return [path]

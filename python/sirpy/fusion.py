@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sirpy import _core, memory
+from sirpy import _core
 from sirpy.cloud import POINT, Points, write_ply
 from sirpy.depth_maps import DepthMaps
 from sirpy.errors import InputError
@@ -24,13 +24,13 @@ from sirpy.native_images import LeftOut, SubImage
 from sirpy.native_scene import Floats, NativeCamera, NativeScene, read_native_scene
 from sirpy.npy import written_npy
 from sirpy.progress import Progress
-from sirpy.rectangle import Rectangle
+from sirpy.rectangle import Grid, Rectangle
 from sirpy.view_fields import ViewField, frustum_corners, projected_boxes
 from sirpy.view_selection import Selected, selected_views
 from sirpy.windows import FloatMap, read_window
 from sirpy.workspace import Workspace
 
-_BLOCK = 512  # pixels of a side: what is worked on at a time
+_BLOCK = 512  # pixels of a side, about: what is worked on at a time
 _PART = 64  # pixels of a side: of a block, with a depth range of its own
 _REACH = 2  # pixels around a projection that interpolation needs
 
@@ -102,7 +102,6 @@ def fuse(
                         f"{sub_image.name}: {fusion.num_invalid} pixels of its depth map hold neither a "
                         "depth nor 0: left out"
                     )
-                memory.give_back()
             step.advance()
     # Written last: without it there is no cloud to make products of.
     count = write_ply(workspace.fused, parts, Frame())
@@ -188,10 +187,11 @@ class _Fusion:
 
 
 def _blocks(core: Rectangle) -> Iterator[Rectangle]:
-    """Squares of the native image's lattice, as far as they lie in a core, row by row."""
-    for y in range(core.y0 // _BLOCK, -(-core.y1 // _BLOCK)):
-        for x in range(core.x0 // _BLOCK, -(-core.x1 // _BLOCK)):
-            yield Rectangle(x * _BLOCK, y * _BLOCK, _BLOCK, _BLOCK).intersection(core)
+    """Even parts of a core, row by row."""
+    columns, rows = (max(1, round(side / _BLOCK)) for side in (core.width, core.height))
+    grid = Grid(columns, rows)
+    for _, _, block in grid.tiles(core):
+        yield block
 
 
 def source_windows(

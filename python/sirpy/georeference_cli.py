@@ -70,11 +70,11 @@ def georeference(
     ] = False,
 ) -> None:
     """Where on the Earth the model lies, by GPS, camera positions or ground control points."""
+    from sirpy.colmap_dense import open_workspace
     from sirpy.georeference import georeference as run
     from sirpy.progress import make_progress
-    from sirpy.workspace import Workspace
 
-    folder = Workspace(workspace)
+    folder = open_workspace(workspace)
     found = run(
         folder,
         images=images,

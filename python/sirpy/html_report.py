@@ -6,7 +6,6 @@ network.
 
 from __future__ import annotations
 
-import base64
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -20,9 +19,10 @@ from sirpy.dense_stereo import count_reasons
 from sirpy.files import read_json, written_whole
 from sirpy.model_arrays import read_arrays
 from sirpy.native_images import NativeImage
-from sirpy.pictures import REASON_COLOURS, depth_colours, encoded_jpeg
+from sirpy.pictures import REASON_COLOURS, data_address, depth_colours, encoded_jpeg
 from sirpy.ply import read_vertices
 from sirpy.progress import duration
+from sirpy.survey_report import survey_sections
 from sirpy.workspace import Workspace
 
 _GRID_SIDE = 1400  # longest side of the embedded pictures, pixels
@@ -54,6 +54,7 @@ def report(workspace: Workspace) -> Path:
         _numbers(workspace, run, reasons),
         _evaluation(run.get("evaluation")),
         _cloud(workspace),
+        *survey_sections(workspace),
         _grid(workspace),
         _depths(workspace),
         _coverage(reasons),
@@ -159,7 +160,7 @@ def _cloud(workspace: Workspace) -> str:
     return (
         "<h2>The point cloud</h2><p>Every point in its colour, seen along the mean direction of "
         'the photographs, without perspective.</p><div class="card"><figure>'
-        f'<img alt="The point cloud" src="{_address(picture.read_bytes(), "png")}"></figure></div>'
+        f'<img alt="The point cloud" src="{data_address(picture.read_bytes(), "png")}"></figure></div>'
     )
 
 
@@ -199,7 +200,7 @@ def _grid(workspace: Workspace) -> str:
         f'<svg viewBox="0 0 {native.width} {native.height}" role="img" '
         'font-family="system-ui, sans-serif" font-weight="600">'
         f'<image width="{native.width}" height="{native.height}" preserveAspectRatio="none" '
-        f'href="{_address(encoded_jpeg(image), "jpeg")}"/>{"".join(shapes)}</svg></div>'
+        f'href="{data_address(encoded_jpeg(image), "jpeg")}"/>{"".join(shapes)}</svg></div>'
     )
 
 
@@ -228,8 +229,8 @@ def _depth_card(workspace: Workspace, native: NativeImage) -> str:
     text = f"depths from {nearest:.4g} to {farthest:.4g}" if len(known) else "no depth at all"
     return (
         '<div class="card"><figure><div class="pair">'
-        f'<img alt="{escape(native.name)}" src="{_address(encoded_jpeg(image), "jpeg")}">'
-        f'<img alt="its depth map" src="{_address(encoded_jpeg(colours, 90), "jpeg")}"></div>'
+        f'<img alt="{escape(native.name)}" src="{data_address(encoded_jpeg(image), "jpeg")}">'
+        f'<img alt="its depth map" src="{data_address(encoded_jpeg(colours, 90), "jpeg")}"></div>'
         f"<figcaption>{escape(native.name)}: {text}, in the unit of the model</figcaption>"
         "</figure></div>"
     )
@@ -339,10 +340,6 @@ def _notes(notes: list[str]) -> str:
     """What was said on the way, as far as the sections above do not say it."""
     items = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
     return f'<h2>Said on the way</h2><div class="card"><ul>{items}</ul></div>' if items else ""
-
-
-def _address(picture: bytes, kind: str) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
 
 def _bytes(number: int | None) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sirpy.best_views import BestViews
 from sirpy.block_store import BlockStore
-from sirpy.errors import InputError
+from sirpy.errors import InputError, first_few
 from sirpy.lattice import Lattice, aligned_blocks
 from sirpy.products import open_cloud
 from sirpy.progress import Progress
@@ -45,7 +45,7 @@ def orthophoto(
         tiles: also one file for each tile of this tiling (`sirpy.tiles.tiling`).
 
     Raises:
-        InputError: there is no cloud, it is empty, an option is not possible, or depth maps are missing.
+        InputError: there is no cloud, it is empty, an option is not possible, or there is no depth map.
         OutputError: a file cannot be written.
     """
     progress = progress or Progress()
@@ -57,6 +57,9 @@ def orthophoto(
         fine = Lattice(lattice.cell / parts)
         heights = find_heights(cloud, fine, fill, folder, progress)
         views = BestViews(workspace, cloud.frame)
+        if views.left_out:
+            names = first_few([out.name for out in views.left_out])
+            progress.note(f"orthophoto: without sub-images that have no sound depth map: {names}")
         colours = BlockStore(folder / "colours", lattice, max(1, BLOCK // parts), 4, _SAMPLE)
         _colour(colours, heights, views, parts, progress)
         progress.note(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,6 +33,11 @@ def encoded_jpeg(image: NDArray[np.uint8], quality: int = 85) -> bytes:
 def encoded_png(image: NDArray[np.uint8]) -> bytes:
     """A PNG file of an RGB array (height, width, 3)."""
     return _encoded(image, driver="PNG")
+
+
+def data_address(picture: bytes, kind: str) -> str:
+    """A picture file of the kind "jpeg" or "png" as an address, which embeds it into a page."""
+    return f"data:image/{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
 
 def _encoded(image: NDArray[np.uint8], driver: str, **options: object) -> bytes:

@@ -144,13 +144,13 @@ def reconstruct(
         stereo(workspace, options=stereo_options, progress=progress)
     with log.stage(workspace, "fuse", count, "sub-image"):
         fused = fuse(workspace, options=fusion_options, progress=progress)
-    made, failed = _make_products(
+    finished, failed = _make_products(
         workspace, images, products, model_crs, memory, threads, log, progress
     )
     left_out = sorted([*left_out, *workspace.left_out, *fused.left_out], key=lambda out: out.name)
     log.write(workspace, chosen, fused.points, left_out, stereo_options.backend, progress.notes)
     report(workspace)
-    return Reconstruction(workspace, chosen, fused.points, left_out, log.peak, made, failed)
+    return Reconstruction(workspace, chosen, fused.points, left_out, log.peak, finished, failed)
 
 
 def _make_products(

@@ -36,12 +36,12 @@ def dsm(
     quiet: Quiet = False,
 ) -> None:
     """The surface model of the cloud, as a Cloud-Optimised GeoTIFF."""
+    from sirpy.colmap_dense import open_workspace
     from sirpy.progress import make_progress
     from sirpy.surface_model import surface_model
-    from sirpy.workspace import Workspace
 
     path = surface_model(
-        Workspace(workspace),
+        open_workspace(workspace),
         resolution=resolution,
         fill=fill,
         tiles=tiles,
@@ -59,12 +59,12 @@ def ortho(
     quiet: Quiet = False,
 ) -> None:
     """The photographs, seen straight from above, as a Cloud-Optimised GeoTIFF."""
+    from sirpy.colmap_dense import open_workspace
     from sirpy.orthophoto import orthophoto
     from sirpy.progress import make_progress
-    from sirpy.workspace import Workspace
 
     path = orthophoto(
-        Workspace(workspace),
+        open_workspace(workspace),
         resolution=resolution,
         fill=fill,
         tiles=tiles,

@@ -6,7 +6,6 @@ neither on the area nor on the number of points.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from sirpy.raster_files import check_tiles, scratch_folder, write_raster, write_
 from sirpy.workspace import Workspace
 
 BLOCK = 512  # cells, and pixels on the ground: side of what is made at a time
-_LONGEST_GAP = 1000  # cells
+_LONGEST_GAP = 500  # cells
 _THICKNESS = 4  # GSD of the cloud: what belongs to one layer
 _HEIGHT = np.dtype(np.float32)
 
@@ -124,18 +123,15 @@ def _filled(
     progress: Progress,
 ) -> BlockStore:
     """The same heights, gaps of at most the length `fill` filled."""
-    cell = store.lattice.cell
-    longest = fill / cell
-    margin = math.ceil(longest)
+    gaps = _core.GapOptions()
+    gaps.cell, gaps.step = store.lattice.cell, options.thickness
+    gaps.longest = fill / gaps.cell
     filled = BlockStore(folder, store.lattice, store.side, 1, _HEIGHT)
-    blocks = store.blocks(margin)
+    blocks = store.blocks(gaps.margin)
     with progress.stage("fill", len(blocks), "block") as steps:
         for block in blocks:
-            around = block.padded(margin)
-            heights = _core.fill_gaps(
-                store.read(around)[0], longest=longest, cell=cell, step=options.thickness
-            )
-            filled.write(block, np.ascontiguousarray(heights[block.slices_in(around)])[None])
+            heights = store.read(block.padded(gaps.margin))[0]
+            filled.write(block, _core.fill_gaps(heights, options=gaps)[None])
             steps.advance()
     progress.note(
         f"fill: {filled.cells - store.cells} cells in gaps of at most {fill:g} have a height from the "

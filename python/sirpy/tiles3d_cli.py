@@ -17,8 +17,8 @@ def tiles3d(
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
 ) -> None:
     """3D Tiles of the cloud for a browser: OUT/tiles3d/tileset.json. Needs `pip install "sirpy[tiles3d]"`."""
+    from sirpy.colmap_dense import open_workspace
     from sirpy.progress import make_progress
     from sirpy.tiles3d import tiles3d as run
-    from sirpy.workspace import Workspace
 
-    print(f"3D Tiles: {run(Workspace(workspace), progress=make_progress(quiet))}")
+    print(f"3D Tiles: {run(open_workspace(workspace), progress=make_progress(quiet))}")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from threading import Lock
 from typing import Any, Literal
@@ -239,17 +240,17 @@ def _parts(native: NativeImage, rectangle: Rectangle) -> Iterator[tuple[SubImage
 def _open_map(path: Path) -> NDArray[np.float32]:
     """The planes (channels, height, width) on disk; rows are read when they are used."""
     try:
-        with path.open("rb") as file:
+        with path.open("rb", buffering=0) as file:
             header = file.read(_LONGEST_HEADER).split(b"&", 3)
-            size = file.seek(0, 2)
-        width, height, channels = (int(field) for field in header[:3])
+            width, height, channels = (int(field) for field in header[:3])
+            mapped = mmap(file.fileno(), 0, access=ACCESS_READ)
     except FileNotFoundError:
         raise InputError(f"there is no map {path}: run the stereo again") from None
     except (ValueError, OSError) as error:
         raise InputError(
             f"{path} is no depth or normal map: delete it and run the stereo again"
         ) from error
-    offset = sum(len(field) + 1 for field in header[:3])
+    size, offset = len(mapped), sum(len(field) + 1 for field in header[:3])
     if (
         min(width, height, channels) < 1
         or len(header) < 4
@@ -259,4 +260,5 @@ def _open_map(path: Path) -> NDArray[np.float32]:
             f"map {path} is damaged ({size} bytes for {width}x{height}x{channels} numbers): delete "
             "it and run the stereo again"
         )
-    return np.memmap(path, "<f4", "r", offset, (channels, height, width))
+    planes = np.frombuffer(mapped, "<f4", channels * height * width, offset)
+    return planes.reshape(channels, height, width)

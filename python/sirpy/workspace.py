@@ -14,8 +14,8 @@ OUT/explained/           pictures of what stereo found, on request
 OUT/fusion/              the points of each sub-image
 OUT/fused.ply, OUT/cloud.png, OUT/report.html, OUT/run.json
 OUT/georeference.json    where on the Earth the model lies, when asked for
-OUT/fused.laz, OUT/dsm.tif, OUT/ortho.tif, OUT/mesh.ply, OUT/mesh.glb, OUT/tiles3d/   products, when asked for
-OUT/tiles/               of these, what is made tile by tile
+OUT/fused.laz, OUT/cloud.ply, OUT/dsm.tif, OUT/ortho.tif, OUT/mesh.ply, OUT/mesh.glb, OUT/tiles3d/
+                         products, when asked for; OUT/tiles/: what is made of them tile by tile
 OUT/mesh-pieces/         the surfaces of single tiles that the mesh was joined of
 
 For other engines, on request (they number the sub-images):
@@ -85,6 +85,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
     "fuse": ("fusion", "fused.ply", "fused.ply.vis", "meshed-poisson.ply", "run.json"),
     "products": (
         "fused.laz",
+        "cloud.ply",
         "dsm.tif",
         "ortho.tif",
         "mesh.ply",
@@ -293,6 +294,11 @@ class Workspace:
     @property
     def fused_laz(self) -> Path:
         return self.folder / "fused.laz"
+
+    @property
+    def cloud_ply(self) -> Path:
+        """The cloud in the frame of the products; `fused` is in that of the model."""
+        return self.folder / "cloud.ply"
 
     @property
     def surface_model(self) -> Path:

@@ -28,16 +28,17 @@ std::vector<float> Heights(const std::vector<CloudPoint>& points, const CellWind
 }
 
 TEST(SurfaceModel, RowsGoSouthAndCellsWithoutPointsHaveNoHeight) {
-  // One cell east, two cells north of the origin.
-  const std::vector<float> heights = Heights(Level(1, 2, 1, 7), {0, -4, 4, 4});
-  for (int row = 0; row < 4; ++row) {
-    for (int column = 0; column < 4; ++column) {
-      const float height = heights[size_t(4 * row + column)];
-      if (row == 1 && column == 1) {
-        EXPECT_EQ(height, 7);
-      } else {
-        EXPECT_TRUE(std::isnan(height));
-      }
+  // Around the centre of the cell that is the second to the east and the third to the north.
+  std::vector<CloudPoint> points;
+  for (const double shift : {-0.1, -0.05, 0.05, 0.1}) {
+    points.push_back(Upward(1.5 + shift, 2.5 - shift, 7));
+  }
+  const std::vector<float> heights = Heights(points, {0, -4, 4, 4});
+  for (size_t i = 0; i < 16; ++i) {
+    if (i == 4 * 1 + 1) {
+      EXPECT_EQ(heights[i], 7);
+    } else {
+      EXPECT_TRUE(std::isnan(heights[i]));
     }
   }
 }
@@ -85,26 +86,34 @@ TEST(SurfaceModel, OptionsOutOfBoundsAreNamed) {
   EXPECT_THROW(options.Validate(), std::invalid_argument);
 }
 
+constexpr GapOptions Gap(double longest) { return {longest, 1, 0.5}; }
+
 TEST(FillGaps, AGapIsFilledFromItsLowerSideUpToItsWidth) {
   // Ground, a gap of three cells, a roof.
-  const int width = 9, height = 5;
-  std::vector<float> heights(size_t(width * height), 0);
-  for (int i = 0; i < width * height; ++i) {
-    if (i % width >= 3) heights[size_t(i)] = i % width < 6 ? kNone : 10;
+  const int64_t size = 40;
+  std::vector<float> heights(size_t(size * size), 0);
+  for (size_t i = 0; i < heights.size(); ++i) {
+    const size_t x = i % size_t(size);
+    if (x >= 18) heights[i] = x < 21 ? kNone : 10;
   }
-  const std::vector<float> narrow = FillGaps(heights.data(), width, height, 2.9, 1, 0.5);
-  EXPECT_TRUE(std::isnan(narrow[size_t(2 * width + 4)]));
-  const std::vector<float> filled = FillGaps(heights.data(), width, height, 3, 1, 0.5);
-  for (int i = 0; i < width * height; ++i) {
-    EXPECT_EQ(filled[size_t(i)], i % width < 6 ? 0 : 10);
+  const GapOptions narrow = Gap(2.9), wide = Gap(3);
+  ASSERT_EQ(narrow.Margin(), 6);
+  ASSERT_EQ(wide.Margin(), 6);
+  const std::vector<float> open = FillGaps(heights.data(), size, size, narrow);
+  const std::vector<float> filled = FillGaps(heights.data(), size, size, wide);
+  ASSERT_EQ(filled.size(), 28u * 28u);
+  for (size_t i = 0; i < filled.size(); ++i) {
+    const size_t x = 6 + i % 28;
+    EXPECT_EQ(std::isnan(open[i]), x >= 18 && x < 21);
+    EXPECT_EQ(filled[i], x < 21 ? 0 : 10);
   }
 }
 
 TEST(FillGaps, OpenBordersStayOpen) {
-  std::vector<float> heights(100, kNone);
-  for (int i = 0; i < 50; ++i) heights[size_t(i)] = 1;  // the northern half
-  const std::vector<float> filled = FillGaps(heights.data(), 10, 10, 20, 1, 0.5);
-  for (int i = 50; i < 100; ++i) EXPECT_TRUE(std::isnan(filled[size_t(i)]));
+  std::vector<float> heights(3600, kNone);
+  for (size_t i = 0; i < 1800; ++i) heights[i] = 1;  // the northern half
+  const std::vector<float> filled = FillGaps(heights.data(), 60, 60, Gap(10));
+  for (size_t i = 0; i < 400; ++i) EXPECT_EQ(std::isnan(filled[i]), i >= 200);
 }
 
 }  // namespace

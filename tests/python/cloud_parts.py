@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sirpy.cloud import POINT, Cloud, Points
+from sirpy.files import write_json
 from sirpy.frame import Frame
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.npy import write_npy
@@ -57,5 +58,6 @@ def fused_workspace(
     workspace.write_index([NativeImage("a.jpg", 100, 80, subs)], [])
     for sub_image, part in zip(subs, np.array_split(points, 2), strict=True):
         write_npy(workspace.fused_part(sub_image), part)
+    write_json(workspace.fused_parts, [sub_image.name for sub_image in subs])
     monkeypatch.setattr("sirpy.products.read_frame", lambda _: frame)
     return workspace

@@ -92,7 +92,8 @@ def test_strays_do_not_show(tmp_path: Path) -> None:
         [random.uniform(0, 20, (len(ground) // 50, 2)), random.uniform(-9, 9, len(ground) // 50)]
     )
     cloud = cloud_of(tmp_path / "points.npy", np.vstack([ground, strays]))
-    heights, _ = heights_of(tmp_path, cloud)
+    heights, centres = heights_of(tmp_path, cloud)
+    heights = heights[np.abs(centres - 10).max(axis=1) < 10]
     known = ~np.isnan(heights)
     assert known.mean() > 0.99
     assert (np.abs(heights[known]) > GSD).mean() < 2e-3
@@ -181,7 +182,7 @@ def test_the_file_lies_where_the_cloud_does(
         ({"resolution": 400.0}, "larger than the whole cloud"),
         ({"fill": 0.0}, "--fill 0 is not possible"),
         ({"fill": float("nan")}, "--fill nan is not possible"),
-        ({"fill": 1e4}, "at most 1000 cells, 100"),
+        ({"fill": 1e4}, "at most 500 cells, 50"),
         ({"tiles": "many"}, "--tiles many is no tiling"),
         ({"tiles": "quadkey:19"}, "needs a place on the Earth"),
     ],
@@ -205,12 +206,12 @@ def test_clouds_of_nothing_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert not (tmp_path / "out").exists()
 
 
-def test_without_a_cloud_the_command_says_what_to_run(tmp_path: Path) -> None:
+def test_without_a_workspace_the_command_says_one_sentence(tmp_path: Path) -> None:
     for command in ("dsm", "ortho"):
         line = [sys.executable, "-m", "sirpy", command, str(tmp_path / "nothing")]
         done = subprocess.run(line, capture_output=True, text=True)
         assert done.returncode == 2
-        assert len(done.stderr.splitlines()) == 1 and "run `sirpy fuse` first" in done.stderr
+        assert len(done.stderr.splitlines()) == 1 and "nothing" in done.stderr
 
 
 def test_memory_does_not_grow_with_the_cells(tmp_path: Path) -> None:

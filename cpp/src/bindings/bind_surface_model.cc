@@ -1,3 +1,5 @@
+#include <algorithm>
+
 #include "bindings/arrays.h"
 #include "bindings/bindings.h"
 #include "surface_model.h"
@@ -19,16 +21,19 @@ py::array_t<float> RunSurfaceHeights(const Array<CloudPoint>& points, int64_t co
   return ToArray(std::move(heights), {height, width});
 }
 
-py::array_t<float> RunFillGaps(const Array<float>& heights, double longest, double cell,
-                               double step) {
+py::array_t<float> RunFillGaps(const Array<float>& heights, const GapOptions& options) {
   CheckDimensions(heights, 2, "heights");
+  const py::ssize_t margin = options.Margin();
   const py::ssize_t height = heights.shape(0), width = heights.shape(1);
+  if (!(options.longest > 0) || std::min(height, width) <= 2 * margin) {
+    throw py::value_error("the heights must be those of a window and its margin");
+  }
   std::vector<float> filled;
   {
     py::gil_scoped_release release;
-    filled = FillGaps(heights.data(), width, height, longest, cell, step);
+    filled = FillGaps(heights.data(), width, height, options);
   }
-  return ToArray(std::move(filled), {height, width});
+  return ToArray(std::move(filled), {height - 2 * margin, width - 2 * margin});
 }
 
 }  // namespace
@@ -50,8 +55,15 @@ void BindSurfaceModel(py::module_& module) {
   module.def("surface_heights", &RunSurfaceHeights, py::arg("points").noconvert(), py::kw_only(),
              py::arg("column"), py::arg("row"), py::arg("width"), py::arg("height"),
              py::arg("options"));
+  py::class_<GapOptions>(module, "GapOptions")
+      .def(py::init<>())
+      .def_readwrite("longest", &GapOptions::longest)
+      .def_readwrite("cell", &GapOptions::cell)
+      .def_readwrite("step", &GapOptions::step)
+      .def_property_readonly("margin", &GapOptions::Margin);
+
   module.def("fill_gaps", &RunFillGaps, py::arg("heights").noconvert(), py::kw_only(),
-             py::arg("longest"), py::arg("cell"), py::arg("step"));
+             py::arg("options"));
 }
 
 }  // namespace sirpy
