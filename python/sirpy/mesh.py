@@ -36,7 +36,7 @@ from sirpy.workspace import Workspace
 
 _MEMORY = 8_000_000_000
 _FEWEST = 50  # points that make a surface
-_MOST_TILES = 1_000_000
+_MOST_TILES = 100_000
 _DEPTHS = (10, 9, 8, 7)  # of the octrees that a tile is chosen for
 _CELL = 1.5  # GSD
 _CROWD = 2.0  # points on a square of one GSD, at most: stereo gives one, walls stand on few
@@ -142,7 +142,7 @@ def _tiles(
     around = (*cloud.low[:2].tolist(), *cloud.high[:2].tolist())
     found = list(islice(chosen.tiles(*around), _MOST_TILES + 1))
     if len(found) > _MOST_TILES:
-        raise InputError(f"--tiles {text} makes more than a million tiles: choose larger ones")
+        raise InputError(f"--tiles {text} makes more than {_MOST_TILES} tiles: choose larger ones")
     return found
 
 
@@ -189,7 +189,7 @@ class _Pieces:
         self, workspace: Workspace, tiles: list[Tile], cell: float, options: MeshOptions
     ) -> None:
         self.tiles, self._cell, self._options = tiles, cell, options
-        what = [cell, options.keep, options.reach, options.collar]
+        what = [float(x) for x in (cell, options.keep, options.reach, options.collar)]
         self._folder = workspace.mesh_pieces(
             fingerprint(what, [tile.corners.tolist() for tile in tiles])
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from cloud_parts import UTM, fused_workspace, ground
+from cloud_parts import fused_workspace, ground
 from mesh_checks import joints_of
 from sirpy import mesh as mesh_module
 from sirpy import mesh_tiles
@@ -22,6 +22,13 @@ from sirpy.tiles import tiling
 from sirpy.workspace import Workspace
 from typer.testing import CliRunner
 
+# A model of which one unit is 2 m; four tiles of 40 m meet in its middle.
+UTM = Frame(
+    "EPSG:32632",
+    2.0,
+    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([691000.0, 5335000.0, 520.0]),
+)
 # 80 m of ground in cells of 1 m, with a collar of 8 m.
 OPTIONS = MeshOptions(resolution=1.0, collar=8)
 
@@ -59,16 +66,16 @@ class Noted(Progress):
 
 
 def test_tiles_of_a_grid_are_one_surface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    workspace = fused_workspace(tmp_path, hills(), monkeypatch)
+    workspace = fused_workspace(tmp_path, hills(), monkeypatch, UTM)
     result = mesh(workspace, tiles="40", options=OPTIONS, threads=1)
-    tiles = list(tiling("40", UTM).tiles(690960.25, 5334960.5, 691040.25, 5335040.5))
+    tiles = list(tiling("40", UTM).tiles(690961, 5334961, 691039, 5335039))
     found = joints_of(result.path, tiles)
-    assert found.non_manifold == 0 and found.open < 0.01 * found.closed
-    assert found.closed > 4 * 80 * 0.9 / 2 and found.folded < 1
+    assert found.non_manifold == 0 and found.open < 0.02 * found.closed
+    assert found.closed > 160 and found.folded < 1
     vertices, triangles = read_ply(result.path)
-    assert np.percentile(off_the_surface(vertices, UTM), [50, 95]) == pytest.approx(0, abs=0.1)
     places = UTM.model(np.column_stack([vertices[name] for name in "xyz"]))
     inner = np.abs(places[:, :2]).max(axis=1) < 19
+    assert off_the_surface(vertices[inner], UTM).max() < 0.3  # cells of 1 m
     assert np.abs(vertices["red"] - (128 + 6 * places[:, 0]))[inner].max() < 10
     (scene,) = trimesh.load(result.glb[0], process=False).dump()
     assert len(scene.faces) == len(triangles) == result.triangles and not result.failed
@@ -83,12 +90,12 @@ def test_tiles_of_a_grid_are_one_surface(tmp_path: Path, monkeypatch: pytest.Mon
 def test_quadkeys_are_one_surface_and_files_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    workspace = fused_workspace(tmp_path, hills(), monkeypatch)
+    workspace = fused_workspace(tmp_path, hills(), monkeypatch, UTM)
     options = MeshOptions(resolution=1.0, collar=8, per_tile=True)
     result = mesh(workspace, tiles="quadkey:19", options=options)
-    tiles = list(tiling("quadkey:19", UTM).tiles(690960.25, 5334960.5, 691040.25, 5335040.5))
+    tiles = list(tiling("quadkey:19", UTM).tiles(690961, 5334961, 691039, 5335039))
     found = joints_of(result.path, tiles)
-    assert found.non_manifold == 0 and found.open < 0.01 * found.closed and found.closed > 70
+    assert found.non_manifold == 0 and found.open < 0.02 * found.closed and found.closed > 70
     made = workspace.tiles_made("mesh.ply")
     assert len(made) >= 4 and len(workspace.tiles_made("mesh.glb")) == len(made)
     assert sum(len(read_ply(path)[1]) for path in made) == result.triangles
@@ -99,7 +106,7 @@ def test_one_tile_that_fails_is_named_and_the_rest_goes_on(
 ) -> None:
     """Also the command's end says so; the next run makes what is missing, and only that."""
     points = hills()
-    workspace = fused_workspace(tmp_path, points, monkeypatch)
+    workspace = fused_workspace(tmp_path, points, monkeypatch, UTM)
     run = mesh_tiles.run_alone
 
     def broken(task: mesh_tiles.TileTask, task_file: Path) -> str | None:
@@ -147,7 +154,7 @@ def test_a_process_that_crashes_is_a_sentence(tmp_path: Path) -> None:
 def test_a_cloud_without_a_surface(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
 ) -> None:
-    workspace = fused_workspace(tmp_path, hills()[:kept], monkeypatch)
+    workspace = fused_workspace(tmp_path, hills()[:kept], monkeypatch, UTM)
     with pytest.raises(InputError, match="no points" if kept == 0 else "enough points"):
         mesh(workspace, options=OPTIONS)
     assert not workspace.mesh.exists()
@@ -160,7 +167,7 @@ def test_what_is_far_from_points_is_left_out(
     points = hills()
     lake = np.hypot(points["x"], points["y"]) < 7
     pond = np.hypot(points["x"] - 13, points["y"]) < 1.5
-    workspace = fused_workspace(tmp_path, points[~lake & ~pond], monkeypatch)
+    workspace = fused_workspace(tmp_path, points[~lake & ~pond], monkeypatch, UTM)
     mesh(workspace, tiles="1000", options=OPTIONS)
     vertices, triangles = read_ply(workspace.mesh)
     places = np.column_stack([vertices["x"], vertices["y"], vertices["z"]])
@@ -187,22 +194,22 @@ def test_options_out_of_range(options: dict[str, float], name: str) -> None:
 
 
 def test_a_tile_beyond_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    workspace = fused_workspace(tmp_path, hills(), monkeypatch)
+    workspace = fused_workspace(tmp_path, hills(), monkeypatch, UTM)
     fine = MeshOptions(resolution=0.01)
     with pytest.raises(BudgetError, match="smaller --tiles"):
         mesh(workspace, tiles="80", options=fine, memory=10**9)
-    with pytest.raises(InputError, match="million"):
+    with pytest.raises(InputError, match="100000 tiles"):
         mesh(workspace, tiles="0.01", options=fine, memory=10**9)
 
 
 def test_the_tiles_follow_the_memory_not_the_area(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small = fused_workspace(tmp_path / "small", hills(), monkeypatch)
+    small = fused_workspace(tmp_path / "small", hills(), monkeypatch, UTM)
     wide = hills()
     wide["x"] *= 50
     wide["y"] *= 50
-    large = fused_workspace(tmp_path / "large", wide, monkeypatch)
+    large = fused_workspace(tmp_path / "large", wide, monkeypatch, UTM)
 
     def side(workspace: Workspace, memory: int) -> float:
         cloud = mesh_module.open_cloud(workspace)
