@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections.abc import Iterator
@@ -228,7 +229,10 @@ class _Pieces:
             )
             write_points(task.points, points, origin)
             del points, at  # while the other process works
-            return run_alone(task, folder / "task.json")
+            reason = run_alone(task, folder / "task.json")
+            if reason and shutil.disk_usage(folder).free < task.points.stat().st_size:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # COLMAP does not say it
+            return reason
 
     def join(self, tile: Tile, joiner: Joiner) -> None:
         mesh = read_piece(*self._files(tile)) if self.made(tile) else no_mesh()
@@ -316,6 +320,9 @@ def _scratch(folder: Path) -> Iterator[Path]:
     except OutputError:
         raise
     except OSError as error:
-        raise OutputError(f"cannot write {folder.parent}: {error.strerror or error}") from error
+        raise OutputError(
+            f"cannot write {folder.parent}: {error.strerror or error}; mend that, "
+            "then run the same command again"
+        ) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
