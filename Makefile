@@ -29,7 +29,7 @@ endif
 
 test: $(VENV)/.installed $(VENV)/.test-packages $(VENV)/.test-tools
 	cmake -S . -B build/cpp -DCMAKE_BUILD_TYPE=Release -DSIRPY_TESTS=ON -DSIRPY_PYTHON=OFF
-	cmake --build build/cpp --parallel
+	cmake --build build/cpp --parallel $$(nproc)
 	ctest --test-dir build/cpp --output-on-failure
 	$(BIN)/python -m pytest
 

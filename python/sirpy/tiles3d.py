@@ -11,7 +11,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +59,7 @@ def tiles3d(workspace: Workspace, *, progress: Progress | None = None) -> Path:
             _run(points, folder)
         finally:
             points.unlink(missing_ok=True)
-        _put(folder / "tileset.json", place.earth_from_local)
+        _finish(folder / "tileset.json", place.earth_from_local)
         step.advance()
     return workspace.tiles3d / "tileset.json"
 
@@ -127,11 +129,42 @@ def _run(points: Path, folder: Path) -> None:
         raise OutputError(f"3D Tiles could not be made in {folder.parent} ({reason})")
 
 
-def _put(tileset: Path, earth_from_local: Floats) -> None:
-    """Puts a tileset into its place, and takes out the date of its making."""
-    found = json.loads(tileset.read_text(encoding="utf-8"))
-    root = found["root"]
-    own = np.reshape(root.get("transform", np.eye(4)), (4, 4)).T  # columns one after the other
-    root["transform"] = (earth_from_local @ own).T.ravel().tolist()
-    found["asset"].get("extras", {}).pop("created_date", None)
-    write_text(tileset, json.dumps(found, separators=(",", ":")))
+def _finish(path: Path, earth_from_local: Floats | None = None) -> Floats:
+    """Mends a tileset that py3dtiles wrote, and those that it holds, and puts it into its place.
+
+    Takes out the date of its making. The box of a tile that is a tileset of its own may be smaller than what is in
+    it, which a viewer would then not draw at the edge of its view: boxes are made to hold those below them.
+
+    Returns:
+        The corners (2, 3) around it, in the frame of what holds it.
+    """
+    tileset = json.loads(path.read_text(encoding="utf-8"))
+    tileset["asset"].get("extras", {}).pop("created_date", None)
+    root = tileset["root"]
+    around = _grow(root, path.parent)
+    if earth_from_local is not None:
+        root["transform"] = (earth_from_local @ _transform(root)).T.ravel().tolist()
+    write_text(path, json.dumps(tileset, separators=(",", ":")))
+    return around
+
+
+def _grow(tile: dict[str, Any], folder: Path) -> Floats:
+    """Grows the box of a tile to hold its children; returns the corners (2, 3) in the frame of its parent."""
+    box = np.array(tile["boundingVolume"]["box"]).reshape(4, 3)
+    half = np.abs(box[1:]).sum(axis=0)  # the boxes have the axes of their frame
+    inside = [_grow(child, folder) for child in tile.get("children", [])]
+    content = tile.get("content", {}).get("uri", "")
+    if content.endswith(".json"):
+        inside.append(_finish(folder / content))
+    ends = np.concatenate([[box[0] - half, box[0] + half], *inside])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    tile["boundingVolume"]["box"] = [*((low + high) / 2), *np.diag((high - low) / 2).ravel()]
+    corners = np.array(list(product(*np.transpose([low, high]))))
+    own = _transform(tile)
+    moved = corners @ own[:3, :3].T + own[:3, 3]
+    return np.stack([moved.min(axis=0), moved.max(axis=0)])
+
+
+def _transform(tile: dict[str, Any]) -> Floats:
+    """(4, 4) from a tile's frame to its parent's; in the file columns come one after the other."""
+    return np.reshape(tile.get("transform", np.eye(4)), (4, 4)).T

@@ -17,7 +17,7 @@ from sirpy.cloud import POINT, positions
 from sirpy.errors import InputError, OutputError
 from sirpy.frame import Frame
 from sirpy.progress import LoggedProgress, Progress
-from sirpy.tiles3d import Place, tiles3d
+from sirpy.tiles3d import Place, _finish, tiles3d
 from tileset_checks import check_tileset
 from typer.testing import CliRunner
 
@@ -39,7 +39,7 @@ def test_every_point_is_in_its_place_and_colour(
     workspace = fused_workspace(tmp_path / "out", points, monkeypatch)
     path = tiles3d(workspace)
     found = check_tileset(path)
-    assert len(found.places) == 30_000 and found.tiles > 3
+    assert len(found.places) == 30_000 and found.files > 4
     degrees = Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
     plane = Transformer.from_crs("EPSG:4326", "EPSG:32632", always_xy=True)
     longitude, latitude, height = degrees.transform(*found.places.T)
@@ -67,6 +67,37 @@ def test_the_place_of_a_large_cloud_follows_the_earth(tmp_path: Path) -> None:
     local = place.local(np.concatenate([[(cloud.low + cloud.high) / 2], [cloud.low], [cloud.high]]))
     assert np.abs(local[0]).max() < 1  # the middle, in whole metres
     assert local[1:, 2] == pytest.approx(-(30_000**2) / (2 * 6.38e6), abs=1.0)
+
+
+def test_boxes_hold_what_is_below_them_also_across_files(tmp_path: Path) -> None:
+    """As py3dtiles splits a large tileset: the box of the tile that refers to a file is too small."""
+
+    def box(low: list[float], high: list[float]) -> dict[str, list[float]]:
+        middle, half = (np.add(low, high) / 2).tolist(), (np.subtract(high, low) / 2).tolist()
+        return {"box": [*middle, half[0], 0, 0, 0, half[1], 0, 0, 0, half[2]]}
+
+    def tileset(name: str, root: dict[str, object]) -> Path:
+        asset = {"version": "1.0", "extras": {"created_date": "today"}}
+        (tmp_path / name).write_text(json.dumps({"asset": asset, "root": root}))
+        return tmp_path / name
+
+    leaf = {"boundingVolume": box([4, 4, 0], [6, 9, 1])}
+    tileset("inner.json", {"boundingVolume": box([0, 0, 0], [5, 5, 1]), "children": [leaf]})
+    outer = {"boundingVolume": box([0, 0, 0], [5, 5, 1]), "content": {"uri": "inner.json"}}
+    shift = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 100, 200, 300, 1]  # columns
+    held = {"boundingVolume": box([0, 0, 0], [5, 5, 1]), "transform": shift, "children": [outer]}
+    root = {"boundingVolume": box([101, 201, 300], [104, 204, 301]), "children": [held]}
+    path = tileset("tileset.json", root)
+    turn = np.array([[0.0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30], [0, 0, 0, 1]])
+    assert _finish(path, turn).tolist() == [[100, 200, 300], [106, 209, 301]]
+
+    found, inner = (json.loads((tmp_path / n).read_text()) for n in ("tileset.json", "inner.json"))
+    assert found["root"]["boundingVolume"] == box([100, 200, 300], [106, 209, 301])
+    assert found["root"]["children"][0]["boundingVolume"] == box([0, 0, 0], [6, 9, 1])
+    assert found["root"]["children"][0]["transform"] == shift
+    assert found["root"]["transform"] == turn.T.ravel().tolist()
+    assert inner["root"]["boundingVolume"] == box([0, 0, 0], [6, 9, 1])
+    assert "transform" not in inner["root"] and "today" not in json.dumps([found, inner])
 
 
 def test_a_local_frame_stays_local_and_that_is_said(

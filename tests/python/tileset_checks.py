@@ -25,21 +25,29 @@ class Found:
 
     places: Floats
     colours: npt.NDArray[np.uint8]
-    tiles: int
+    files: int
 
 
 def check_tileset(path: Path) -> Found:
     """Reads a tileset, and holds it against the specification."""
+    parts: list[tuple[Floats, npt.NDArray[np.uint8]]] = []
+    files: set[Path] = {path}
+    _check_file(path, np.eye(4), parts, files)
+    assert {file for file in path.parent.rglob("*") if file.is_file()} == files
+    places, colours = zip(*parts, strict=True)
+    return Found(np.concatenate(places), np.concatenate(colours), len(files))
+
+
+def _check_file(
+    path: Path, above: Floats, parts: list[tuple[Floats, npt.NDArray[np.uint8]]], files: set[Path]
+) -> Floats:
+    """The corners of the tileset's box in the frame of what holds it (8, 3)."""
     tileset = json.loads(path.read_text(encoding="utf-8"))
     assert tileset["asset"]["version"] == "1.0"
+    assert "created_date" not in path.read_text(encoding="utf-8")
     assert tileset["geometricError"] >= tileset["root"]["geometricError"] >= 0
     assert tileset["root"]["refine"] in ("ADD", "REPLACE")
-    parts: list[tuple[Floats, npt.NDArray[np.uint8]]] = []
-    uris: set[str] = set()
-    _check_tile(tileset["root"], path.parent, np.eye(4), "ADD", parts, uris)
-    assert {str(file.relative_to(path.parent)) for file in path.parent.rglob("*.pnts")} == uris
-    places, colours = zip(*parts, strict=True)
-    return Found(np.concatenate(places), np.concatenate(colours), len(uris))
+    return _check_tile(tileset["root"], path.parent, above, "ADD", parts, files)
 
 
 def _check_tile(
@@ -48,7 +56,7 @@ def _check_tile(
     above: Floats,
     refine: str,
     parts: list[tuple[Floats, npt.NDArray[np.uint8]]],
-    uris: set[str],
+    files: set[Path],
 ) -> Floats:
     """The corners of the tile's box in the frame of its parent (8, 3)."""
     own = np.reshape(tile.get("transform", np.eye(4)), (4, 4)).T
@@ -59,14 +67,19 @@ def _check_tile(
     assert tile["geometricError"] >= 0
     children = tile.get("children", [])
     if "content" in tile:
-        uris.add(tile["content"]["uri"])
-        places, colours = read_pnts(folder / tile["content"]["uri"])
-        _check_inside(places, box)
-        if refine == "ADD" or not children:
-            parts.append((_moved(places, above @ own), colours))
+        file = folder / tile["content"]["uri"]
+        files.add(file)
+        if file.suffix == ".json":  # a tileset of its own
+            assert not children
+            _check_inside(_check_file(file, above @ own, parts, files), box)
+        else:
+            places, colours = read_pnts(file)
+            _check_inside(places, box)
+            if refine == "ADD" or not children:
+                parts.append((_moved(places, above @ own), colours))
     for child in children:
         assert child["geometricError"] <= tile["geometricError"]
-        _check_inside(_check_tile(child, folder, above @ own, refine, parts, uris), box)
+        _check_inside(_check_tile(child, folder, above @ own, refine, parts, files), box)
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
     return _moved(box[:3] + signs @ box[3:].reshape(3, 3), own)
 
