@@ -166,8 +166,10 @@ def test_a_cloud_without_a_surface(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
 ) -> None:
     workspace = fused_workspace(tmp_path, hills()[:kept], monkeypatch, UTM)
+    noted = Noted()
     with pytest.raises(InputError, match="no points" if kept == 0 else "enough points"):
-        mesh(workspace, options=OPTIONS)
+        mesh(workspace, options=OPTIONS, progress=noted)
+    assert [("too few points" in note) for note in noted.notes] == [True] * (kept > 0)
     assert not workspace.mesh.exists()
 
 
@@ -197,6 +199,7 @@ def test_what_is_far_from_points_is_left_out(
         ({"keep": 1.5}, "keep"),
         ({"reach": 0.0}, "reach"),
         ({"collar": float("inf")}, "collar"),
+        ({"reach": 30.0}, "reach"),
     ],
 )
 def test_options_out_of_range(options: dict[str, float], name: str) -> None:
