@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections.abc import Iterator
@@ -63,6 +64,11 @@ class MeshOptions:
             raise InputError(f"--reach {self.reach:g} is not possible: choose 1 to 100 cells")
         if not 4 <= self.collar <= 1000:
             raise InputError(f"--collar {self.collar:g} is not possible: choose 4 to 1000 cells")
+        if self.reach > self.collar:
+            raise InputError(
+                f"--reach {self.reach:g} is not possible: choose at most --collar ({self.collar:g}), "
+                "so that neighbours leave out the same"
+            )
 
 
 @dataclass(frozen=True)
@@ -113,6 +119,8 @@ def mesh(
     if not cloud.count:
         raise InputError(f"the cloud of {workspace.folder} has no points: there is nothing to mesh")
     cell = options.resolution or _CELL * cloud.gsd
+    if not cell > 0:
+        raise InputError("the cloud does not tell its GSD: choose a --resolution")
     chosen = _tiles(cloud, tiles, cell, options, memory)
     workers = _workers(chosen, cloud, cell, options, memory, threads)
     pieces = _Pieces(workspace, chosen, cell, options)
@@ -177,8 +185,8 @@ def _workers(
 
 def _peak(cloud: Cloud, cells: float, cell: float) -> int:
     """Bytes for a tile with its collar."""
-    box = float(np.prod(np.maximum(cloud.high[:2] - cloud.low[:2], cloud.gsd)))
-    density = _CROWD * max(cloud.gsd**-2, cloud.count / box)
+    box = float(np.prod(np.maximum(cloud.high[:2] - cloud.low[:2], cell)))
+    density = _CROWD * max(cloud.gsd**-2 if cloud.gsd else 0.0, cloud.count / box)
     return predicted_peak(cells, min(density * (cells * cell) ** 2, cloud.count))
 
 
@@ -189,6 +197,7 @@ class _Pieces:
         self, workspace: Workspace, tiles: list[Tile], cell: float, options: MeshOptions
     ) -> None:
         self.tiles, self._cell, self._options = tiles, cell, options
+        self.too_few = 0  # tiles that have points, but no surface
         what = [float(x) for x in (cell, options.keep, options.reach, options.collar)]
         self._folder = workspace.mesh_pieces(
             fingerprint(what, [tile.corners.tolist() for tile in tiles])
@@ -211,6 +220,7 @@ class _Pieces:
         vertices, faces = self._files(tile)
         if len(points) < _FEWEST:
             write_piece(vertices, faces, no_mesh())
+            self.too_few += len(points) > 0
             return None
         at = positions(points)
         # On a lattice that all tiles share, so that neighbours leave out the same.
@@ -228,7 +238,10 @@ class _Pieces:
             )
             write_points(task.points, points, origin)
             del points, at  # while the other process works
-            return run_alone(task, folder / "task.json")
+            reason = run_alone(task, folder / "task.json")
+            if reason and shutil.disk_usage(folder).free < task.points.stat().st_size:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # COLMAP does not say it
+            return reason
 
     def join(self, tile: Tile, joiner: Joiner) -> None:
         mesh = read_piece(*self._files(tile)) if self.made(tile) else no_mesh()
@@ -258,6 +271,10 @@ def _make_pieces(
                 steps.advance()
         finally:
             pool.shutdown(cancel_futures=True)
+    if pieces.too_few:
+        progress.note(
+            f"{pieces.too_few} tiles of the mesh have too few points for a surface (below {_FEWEST})"
+        )
     return tuple(failed)
 
 
@@ -316,6 +333,9 @@ def _scratch(folder: Path) -> Iterator[Path]:
     except OutputError:
         raise
     except OSError as error:
-        raise OutputError(f"cannot write {folder.parent}: {error.strerror or error}") from error
+        raise OutputError(
+            f"cannot write {folder.parent}: {error.strerror or error}; mend that, "
+            "then run the same command again"
+        ) from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -115,6 +115,7 @@ class _Ground:
     """The first polylines: nearest places, and what is taken already."""
 
     def __init__(self, points: Floats, chains: Sequence[Chain]) -> None:
+        self._chains = chains
         self._chain = np.concatenate([np.full(len(one.edges), i) for i, one in enumerate(chains)])
         self._index = np.concatenate([np.arange(len(one.edges)) for one in chains])
         self._begin = points[np.concatenate([one.vertices[:-1] for one in chains])]
@@ -140,7 +141,18 @@ class _Ground:
                 steps.append(_Step(*self._of_vertex.get(known, (-1, 0.0)), 0.0))
             else:
                 steps.append(self._nearest(place, ahead))
+        if chain.closed:
+            self._close(steps, at[0])
         return steps
+
+    def _close(self, steps: list[_Step], start: Floats) -> None:
+        """A ring on a ring goes from beginning to end, since both begin at their lowest first coordinate."""
+        number = steps[len(steps) // 2].chain
+        if number >= 0 and self._chains[number].closed:
+            away = float(np.hypot(*(start - self._begin[self._chain == number][0])))
+            if away <= TOLERANCE:
+                end = float(len(self._chains[number].edges))
+                steps[0], steps[-1] = _Step(number, 0.0, away), _Step(number, end, away)
 
     def _nearest(self, place: Floats, ahead: Floats) -> _Step:
         low, high = np.searchsorted(
@@ -244,13 +256,14 @@ def _lay(
         _snapped(run.from_place + float(one) * (run.to_place - run.from_place), ours)
         for one in part
     ]
+    around = float(len(ours.edges)) if ours.closed else float("inf")  # where places begin again
     for vertex, place in zip(vertices, places, strict=True):
-        if laid.get(vertex, (run.chain, place)) != (run.chain, place):
+        if laid.get(vertex, (run.chain, place % around)) != (run.chain, place % around):
             return
     if not ground.take(run.chain, places[0], places[-1]):
         return
     for vertex, place in zip(vertices, places, strict=True):
-        laid[vertex] = run.chain, place
+        laid[vertex] = run.chain, place % around
         edge = min(int(place), len(ours.edges) - 1)
         found.places[vertex] = Place(int(ours.edges[edge]), place - edge)
     for index, (begin, end) in enumerate(pairwise(places)):
@@ -270,7 +283,7 @@ def _length(chain: Chain, place: float) -> float:
 
 
 def _chains(points: Floats, edges: Indices) -> list[Chain]:
-    """The edges as chains, which end where they branch; closed ones begin at their first edge."""
+    """The edges as chains, which end where they branch; closed ones begin at their lowest first coordinate."""
     out: dict[int, list[int]] = defaultdict(list)
     into: dict[int, int] = defaultdict(int)
     for edge, (begin, end) in enumerate(edges.tolist()):
@@ -288,6 +301,9 @@ def _chains(points: Floats, edges: Indices) -> list[Chain]:
             chain.append(following)
             end = int(edges[following, 1])
             following = out[end][0] if end in through else None
+        if chain and edges[chain[0], 0] == edges[chain[-1], 1]:
+            lowest = int(np.argmin(points[edges[chain, 0], 0]))
+            chain = chain[lowest:] + chain[:lowest]
         if chain:
             vertices = np.append(edges[chain, 0], edges[chain[-1], 1])
             lengths = np.hypot(*np.diff(points[vertices], axis=0).T)

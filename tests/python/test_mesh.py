@@ -13,7 +13,7 @@ from mesh_checks import joints_of
 from sirpy import mesh as mesh_module
 from sirpy import mesh_tiles
 from sirpy.cloud import POINT, Points
-from sirpy.errors import BudgetError, InputError
+from sirpy.errors import BudgetError, InputError, OutputError
 from sirpy.frame import Frame
 from sirpy.mesh import MeshOptions, mesh
 from sirpy.mesh_files import read_ply
@@ -150,13 +150,26 @@ def test_a_process_that_crashes_is_a_sentence(tmp_path: Path) -> None:
     assert not task.faces.exists()
 
 
+def test_a_full_disk_ends_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A crash that has no room is no fault of the tile."""
+    workspace = fused_workspace(tmp_path, hills(), monkeypatch, UTM)
+    monkeypatch.setattr(mesh_module, "run_alone", lambda *_: "its process was ended by SIGABRT")
+    usage = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
+    with pytest.raises(OutputError, match="No space left"):
+        mesh(workspace, tiles="40", options=OPTIONS)
+    assert not workspace.mesh.exists() and not list(tmp_path.glob("mesh-pieces/*/.*"))
+
+
 @pytest.mark.parametrize("kept", [0, 10])
 def test_a_cloud_without_a_surface(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
 ) -> None:
     workspace = fused_workspace(tmp_path, hills()[:kept], monkeypatch, UTM)
+    noted = Noted()
     with pytest.raises(InputError, match="no points" if kept == 0 else "enough points"):
-        mesh(workspace, options=OPTIONS)
+        mesh(workspace, options=OPTIONS, progress=noted)
+    assert [("too few points" in note) for note in noted.notes] == [True] * (kept > 0)
     assert not workspace.mesh.exists()
 
 
@@ -186,6 +199,7 @@ def test_what_is_far_from_points_is_left_out(
         ({"keep": 1.5}, "keep"),
         ({"reach": 0.0}, "reach"),
         ({"collar": float("inf")}, "collar"),
+        ({"reach": 30.0}, "reach"),
     ],
 )
 def test_options_out_of_range(options: dict[str, float], name: str) -> None:

@@ -64,12 +64,26 @@ def test_beyond_the_end_only_the_next_vertex_moves() -> None:
     assert sorted(match(ours, ours_edges, theirs, theirs_edges, {}).places) == [0, 1, 2]
 
 
-def test_rings() -> None:
+@pytest.mark.parametrize("turned", [0, 5])
+@pytest.mark.parametrize("shift", [-0.1, 0.1])
+def test_rings(turned: int, shift: float) -> None:
+    """They are laid onto each other all around, wherever they begin."""
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ring = np.column_stack([10 + 3 * np.cos(turn), 3 * np.sin(turn)])
     edges = np.column_stack([np.arange(12), (np.arange(12) + 1) % 12])
-    found = match(ring, edges, ring * 1.01, edges, {})
-    assert len(found.places) >= 11
+    turn = turn + 0.2 + shift
+    other = np.column_stack([10 + 3.1 * np.cos(turn), 3.1 * np.sin(turn)])
+    found = match(ring, np.roll(edges, turned, axis=0), other, edges, {})
+    assert sorted(found.places) == list(range(12))
+    # Every vertex of ours is one of theirs, or lies within an edge of theirs.
+    order = np.roll(edges, turned, axis=0)
+    welded = {
+        int(order[place.edge, int(place.part)])
+        for place in found.places.values()
+        if place.part in (0, 1)
+    }
+    inserted = [vertex for inside in found.inserts.values() for vertex in inside]
+    assert len(inserted) == len(set(inserted)) and welded | set(inserted) == set(range(12))
 
 
 def test_known_vertices_stay_what_they_are() -> None:
