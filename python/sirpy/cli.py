@@ -428,7 +428,7 @@ def fuse(
     quiet: Quiet = False,
 ) -> None:
     """The depth maps as one cloud; those of a dense workspace that COLMAP made, too."""
-    from sirpy.cloud_files import check_format, export_cloud
+    from sirpy.cloud_files import check_export, export_cloud
     from sirpy.colmap_dense import open_workspace
     from sirpy.fusion import FusionOptions
     from sirpy.fusion import fuse as run
@@ -442,9 +442,9 @@ def fuse(
     )
     if format is None and (tiles or spacing is not None):
         raise InputError("--tiles and --spacing belong to --format: give --format laz or ply too")
-    if format is not None:
-        check_format(format)
     folder, progress = open_workspace(workspace), make_progress(quiet)
+    if format is not None:
+        check_export(folder, format, tiles, spacing)
     made = run(folder, options=options, progress=progress)
     print(f"cloud: {folder.fused} ({made.points:,} points)")
     if format is not None:
@@ -459,10 +459,10 @@ def fuse(
 @app.command()
 def report(workspace: WorkspaceFolder) -> None:
     """The report of a reconstruction as one page."""
+    from sirpy.colmap_dense import open_workspace
     from sirpy.html_report import report as run
-    from sirpy.workspace import Workspace
 
-    print(f"report: {run(Workspace(workspace))}")
+    print(f"report: {run(open_workspace(workspace))}")
 
 
 @app.command()

@@ -9,6 +9,7 @@ from typing import Literal
 
 from sirpy.cloud import POINT, Cloud, Points
 from sirpy.errors import InputError
+from sirpy.georeference import read_frame
 from sirpy.laz import write_laz
 from sirpy.ply import write_vertices
 from sirpy.point_selection import PointSelection
@@ -40,7 +41,7 @@ def export_cloud(
         InputError: there is no cloud, or an option is not possible.
         OutputError: a file cannot be written.
     """
-    check_format(format)
+    _check_format(format)
     progress = progress or Progress()
     cloud = open_cloud(workspace)
     selection = PointSelection(cloud, spacing)
@@ -70,8 +71,18 @@ def export_cloud(
     return made
 
 
-def check_format(format: str) -> None:
-    """Raises InputError unless a cloud can be written so."""
+def check_export(
+    workspace: Workspace, format: str, tiles: str | None, spacing: float | None
+) -> None:
+    """Raises InputError unless the cloud of the workspace can be written so, whatever points it has."""
+    _check_format(format)
+    if tiles is not None:
+        tiling(tiles, read_frame(workspace))
+    if spacing is not None and not 0 < spacing < float("inf"):
+        raise InputError(f"--spacing {spacing:g} is not possible: choose a length above 0")
+
+
+def _check_format(format: str) -> None:
     if format not in _WRITERS:
         raise InputError(f"--format {format} is not known: choose {' or '.join(_WRITERS)}")
 

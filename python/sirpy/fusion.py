@@ -8,7 +8,7 @@ the order or number of workers.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,7 @@ from sirpy.workspace import Workspace
 
 _BLOCK = 512  # pixels of a side, about: what is worked on at a time
 _PART = 64  # pixels of a side: of a block, with a depth range of its own
+_MOST_HELD = 8_000_000  # pixels of the windows of all sources, for a block
 _REACH = 2  # pixels around a projection that interpolation needs
 
 
@@ -53,7 +54,7 @@ class FusionOptions:
             )
         if self.threads < 0:
             raise InputError(f"--threads {self.threads} is not possible: choose 0 or more")
-        if not self.consistency > 0:
+        if not 0 < self.consistency < float("inf"):
             raise InputError(
                 f"--consistency {self.consistency} is not possible: choose more than 0"
             )
@@ -86,6 +87,8 @@ def fuse(
     maps = DepthMaps(workspace)
     for out in maps.left_out:
         progress.note(f"left out: {out.name}: {out.reason}")
+    for reason in maps.unused:
+        progress.note(f"done without it: {reason}")
     what = {key: value for key, value in asdict(options).items() if key != "threads"}
     workspace.begin_stage("fuse", fingerprint(maps.identity(), what))
     units = [(native.name, sub) for native in maps.natives.values() for sub in native.sub_images]
@@ -116,6 +119,7 @@ def fused_parts(workspace: Workspace) -> list[Path]:
         InputError: fusion is not complete.
     """
     again = "run `sirpy fuse` first"
+    _ = workspace.natives  # is this a workspace?
     try:
         names = read_json(workspace.fused_parts, lambda names: {str(name) for name in names}, again)
     except FileNotFoundError:
@@ -138,28 +142,31 @@ class _Fusion:
     def points(self, name: str, sub_image: SubImage) -> Iterator[Points]:
         """Of the sub-image's core, block by block."""
         self.num_invalid = 0
-        color = read_window(self._workspace, name, sub_image.core, "color", again=False)
-        for block in _blocks(sub_image.core):
-            depth = self._maps.depth(name, block)
-            if depth.any():
-                yield self._block(
-                    name, sub_image, block, depth, color[block.slices_in(sub_image.core)]
-                )
+        core = sub_image.core
+        color = read_window(self._workspace, name, core, "color", again=False)
+        columns, rows = (max(1, round(side / _BLOCK)) for side in (core.width, core.height))
+        for _, _, block in Grid(columns, rows).tiles(core):
+            yield from self._block(name, sub_image, block, color)
 
     def _block(
-        self,
-        name: str,
-        sub_image: SubImage,
-        block: Rectangle,
-        depth: FloatMap,
-        color: npt.NDArray[np.uint8],
-    ) -> Points:
-        camera, field = self._scene.cameras[name], self._views.field(name)
+        self, name: str, sub_image: SubImage, block: Rectangle, color: npt.NDArray[np.uint8]
+    ) -> Iterator[Points]:
+        depth = self._maps.depth(name, block)
+        if not depth.any():
+            return
+        camera, field = self._scene.cameras[name], self._field(name)
         windows = source_windows(self._scene.cameras, field, block, depth)
+        held = sum(window.area for window in windows if window is not None)
+        if held > _MOST_HELD and max(block.width, block.height) > _PART:
+            # Stray depths: in smaller parts they need less. The points are the same.
+            grid = Grid(1 + (block.width > _PART), 1 + (block.height > _PART))
+            for _, _, part in grid.tiles(block):
+                yield from self._block(name, sub_image, part, color)
+            return
         points, (invalid, *_) = _core.fuse(
             self._depth_view(name, block, depth),
-            self._maps.normal(name, sub_image, block, camera.intrinsics),
-            np.ascontiguousarray(color),
+            self._maps.normal(name, sub_image, block, camera.intrinsics, self._options.threads),
+            np.ascontiguousarray(color[block.slices_in(sub_image.core)]),
             self._maps.confidence(name, sub_image, block),
             [
                 self._depth_view(source.name, window, self._maps.depth(source.name, window))
@@ -172,7 +179,13 @@ class _Fusion:
             options=self._options,
         )
         self.num_invalid += invalid
-        return points.view(POINT)
+        yield points.view(POINT)
+
+    def _field(self, name: str) -> ViewField:
+        """Without the sources of which no depth map is left: none of them can be asked to agree."""
+        field = self._views.field(name)
+        bits = [1 << i for i, one in enumerate(field.sources) if one.name in self._maps.natives]
+        return replace(field, allowed=field.allowed & np.uint32(sum(bits)))
 
     def _depth_view(self, name: str, window: Rectangle, depth: FloatMap) -> _core.DepthView:
         camera = self._scene.cameras[name]
@@ -184,14 +197,6 @@ class _Fusion:
             rank=self._views.rank[name],
             depth=depth,
         )
-
-
-def _blocks(core: Rectangle) -> Iterator[Rectangle]:
-    """Even parts of a core, row by row."""
-    columns, rows = (max(1, round(side / _BLOCK)) for side in (core.width, core.height))
-    grid = Grid(columns, rows)
-    for _, _, block in grid.tiles(core):
-        yield block
 
 
 def source_windows(

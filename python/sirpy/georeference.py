@@ -22,6 +22,7 @@ from sirpy.alignment import (
 from sirpy.camera_positions import Photographs, exif_positions, read_positions
 from sirpy.crs import ground_crs
 from sirpy.errors import InputError, first_few
+from sirpy.files import fingerprint
 from sirpy.frame import Frame
 from sirpy.ground_control import (
     read_control_points,
@@ -107,7 +108,15 @@ def georeference(
             f"not used, since the others contradict: {_with_distances(alignment.residuals)}; check these"
         )
     write_alignment(workspace, alignment)
+    if workspace.fingerprint_of("products"):  # what was made in another frame goes
+        begin_products(workspace, alignment.frame)
     return alignment
+
+
+def begin_products(workspace: Workspace, frame: Frame) -> None:
+    """Removes the products of another cloud, or of another frame."""
+    place = [frame.crs, frame.scale, frame.rotation.tolist(), frame.translation.tolist()]
+    workspace.begin_stage("products", fingerprint(workspace.fingerprint_of("fuse"), place))
 
 
 def read_frame(workspace: Workspace) -> Frame:
@@ -127,11 +136,11 @@ def settle_frame(
 ) -> Frame:
     """The frame of the products when nobody asked for a certain one, as `sirpy reconstruct` needs it.
 
-    A model whose CRS is named lies in it; an earlier georeference stays; a model that is z up came from a survey and
+    An earlier georeference stays; a model whose CRS is named lies in it; a model that is z up came from a survey and
     is not disturbed; any other is aligned to the GPS positions of its photographs, where these agree, else
     in a local frame. What was chosen is noted.
     """
-    if model_crs is not None:
+    if model_crs is not None and read_alignment(workspace) is None:
         return georeference(workspace, as_is=True, crs=model_crs, progress=progress).frame
     if read_alignment(workspace) is None and not is_z_up(read_native_scene(workspace)):
         try:

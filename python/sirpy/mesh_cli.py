@@ -45,14 +45,14 @@ def mesh(
     ] = False,
 ) -> None:
     """A surface with colours of the fused points: mesh.ply and mesh.glb."""
+    from sirpy.colmap_dense import open_workspace
     from sirpy.memory import parse_memory
     from sirpy.mesh import MeshOptions
     from sirpy.mesh import mesh as run
     from sirpy.progress import make_progress
-    from sirpy.workspace import Workspace
 
     result = run(
-        Workspace(workspace),
+        open_workspace(workspace),
         tiles=tiles,
         options=MeshOptions(resolution, keep, reach, collar, per_tile),
         memory=parse_memory(memory),

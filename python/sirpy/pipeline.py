@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from sirpy.crs import ground_crs
 from sirpy.cutting import cut
 from sirpy.deliverables import check_products, make_product
 from sirpy.dense_stereo import stereo
@@ -95,6 +96,8 @@ def reconstruct(
     check_num_sources(num_sources)
     check_backend(stereo_options)
     check_products(products)
+    if model_crs is not None:
+        ground_crs(model_crs, "--model_crs")
     names = find_photographs(images)
     check_folders(images, output)
     check_masks(masks)
@@ -167,7 +170,10 @@ def _make_products(
     made: dict[str, Path] = {}
     failed: list[LeftOut] = []
     if names:
-        settle_frame(workspace, images, model_crs=model_crs, progress=progress)
+        try:
+            settle_frame(workspace, images, model_crs=model_crs, progress=progress)
+        except SirpyError as error:
+            return made, [LeftOut(name, str(error)) for name in names]
     for name in names:
         try:
             with log.stage(workspace, name, 1, "product"):

@@ -20,6 +20,7 @@ from sirpy.progress import Steps
 from sirpy.tiles import Tile, Tiling
 
 _BLOCK = 1000.0  # GSD along its side: a million points where each pixel gives one
+_MOST_TILES = 100_000
 _TILE_MARGIN = (
     0.01  # of a tile: its sides are straight in the frame, those of a quadkey are not quite
 )
@@ -61,7 +62,12 @@ class PointSelection:
             left, bottom, right, top = next(tiling.tiles(x0, y0, x1, y1)).bounds
             margin = _TILE_MARGIN * max(right - left, top - bottom)
             around = tiling.tiles(x0 - margin, y0 - margin, x1 + margin, y1 + margin)
-            found |= {tile.name: tile for tile in around}
+            for tile in around:
+                found[tile.name] = tile
+                if len(found) > _MOST_TILES:
+                    raise InputError(
+                        f"--tiles makes more than {_MOST_TILES} tiles: choose larger ones"
+                    )
         return sorted(found.values(), key=lambda tile: (tile.bounds[1], tile.bounds[0]))
 
     @cached_property

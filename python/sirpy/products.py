@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from sirpy.cloud import Cloud
-from sirpy.files import fingerprint
 from sirpy.fusion import fused_parts
-from sirpy.georeference import read_frame
+from sirpy.georeference import begin_products, read_frame
 from sirpy.workspace import Workspace
 
 
@@ -17,6 +16,5 @@ def open_cloud(workspace: Workspace) -> Cloud:
     """
     parts = fused_parts(workspace)
     frame = read_frame(workspace)
-    place = [frame.crs, frame.scale, frame.rotation.tolist(), frame.translation.tolist()]
-    workspace.begin_stage("products", fingerprint(workspace.fingerprint_of("fuse"), place))
+    begin_products(workspace, frame)
     return Cloud(parts, frame)

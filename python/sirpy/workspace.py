@@ -43,7 +43,7 @@ Pass = Literal["photometric", "geometric"]
 MapFolder = Literal["depth_maps", "normal_maps", "consistency_graphs"]
 
 # Names of `files.written_whole` and of the core's writers: .STEM.PID.tmp.EXT
-_UNFINISHED = re.compile(r"\..+\.\d+\.tmp(\.[^.]*)?", re.DOTALL)
+_UNFINISHED = re.compile(r"\..+\.(\d+)\.tmp(\.[^.]*)?", re.DOTALL)
 
 # A stage that has to be done again takes with it what later stages made of its output. Names may be
 # patterns.
@@ -83,6 +83,7 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/consistency_graphs",
     ),
     "fuse": ("fusion", "fused.ply", "fused.ply.vis", "meshed-poisson.ply", "run.json"),
+    "report": ("report.html", "cloud.png"),
     "products": (
         "fused.laz",
         "cloud.ply",
@@ -94,8 +95,11 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "tiles3d",
         "tiles",
     ),
-    "report": ("report.html", "cloud.png"),
 }
+
+
+# Of these nothing else is made: they leave each other alone.
+_LEAVES = ("report", "products")
 
 
 class Workspace:
@@ -422,12 +426,12 @@ class Workspace:
             self._remove_unfinished(stage)
             return True
         stages = list(_STAGE_OUTPUTS)
-        stale = stages[stages.index(stage) :]
+        stale = [stage] if stage in _LEAVES else stages[stages.index(stage) :]
         for name in stale:
             if name not in known and (foreign := self._outputs(name)):
                 raise OutputError(
                     f"{foreign[0]} is in the way, and not of this workspace: "
-                    "choose another folder with --output, or move it away"
+                    "choose another folder for the output, or move it away"
                 )
         for name in known.keys() & stale:
             self._remove_unfinished(name)
@@ -468,7 +472,8 @@ class Workspace:
             path = self.folder / output
             hidden = [*path.parent.glob(f".{path.stem}.*.tmp*"), *path.rglob(".*.tmp*")]
             for found in hidden:
-                if _UNFINISHED.fullmatch(found.name):
+                unfinished = _UNFINISHED.fullmatch(found.name)
+                if unfinished and not _is_running(int(unfinished[1])):
                     _remove(found)
 
     def _outputs(self, stage: str) -> list[Path]:
@@ -488,6 +493,19 @@ class Workspace:
     def fingerprint_of(self, stage: str) -> str:
         """The fingerprint that `stage` was begun with; empty when it never was."""
         return self._known_stages().get(stage, "")
+
+
+def _is_running(process: int) -> bool:
+    """Whether another process of that number runs, which may still be writing."""
+    if process == os.getpid():
+        return False
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def check_writable(folder: Path) -> None:

@@ -211,6 +211,43 @@ def test_a_bad_depth_map_is_left_out_and_said(
     assert fuse(workspace).points == whole
 
 
+def test_a_photograph_without_any_depth_map_confirms_nothing(
+    perfect: Workspace, tmp_path: Path
+) -> None:
+    workspace = _copied(perfect, tmp_path / "copy")
+    lost = workspace.natives[0]
+    for sub in lost.sub_images:
+        workspace.depth_map(sub, "geometric").unlink()
+    made = fuse(workspace)
+    assert {out.name for out in made.left_out} == {sub.name for sub in lost.sub_images}
+    assert made.points > 10_000
+    assert len(fused_parts(workspace)) == len(list(workspace.sub_images())) - len(lost.sub_images)
+
+
+def test_a_damaged_normal_map_is_made_of_the_depths(perfect: Workspace, tmp_path: Path) -> None:
+    workspace = _copied(perfect, tmp_path / "copy")
+    bad = workspace.normal_map(workspace.natives[1].sub_images[0], "geometric")
+    bad.write_bytes(bad.read_bytes()[:1000])
+    notes = Notes()
+    made = fuse(workspace, progress=notes)
+    assert not made.left_out
+    assert any(str(bad) in note for note in notes.notes)
+
+
+def test_stray_depths_do_not_make_the_windows_large(
+    perfect: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Whatever the blocks, the points are the same.
+    workspace = _copied(perfect, tmp_path / "copy")
+    fuse(workspace)
+    whole = np.sort(np.array(read_vertices(workspace.fused)))
+    monkeypatch.setattr("sirpy.fusion._MOST_HELD", 20_000)
+    for _, sub in workspace.sub_images():
+        workspace.fused_part(sub).unlink()
+    fuse(workspace)
+    np.testing.assert_array_equal(np.sort(np.array(read_vertices(workspace.fused))), whole)
+
+
 def test_numbers_that_are_no_depths_give_no_points(perfect: Workspace, tmp_path: Path) -> None:
     workspace = _copied(perfect, tmp_path / "copy")
     sub = workspace.natives[0].sub_images[0]

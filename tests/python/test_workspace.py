@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -167,3 +168,30 @@ def test_what_cannot_be_removed_is_said(
     monkeypatch.undo()
     assert not workspace.begin_stage("cut", "two")
     assert not workspace.native_model.exists()
+
+
+def test_report_and_products_leave_each_other_alone(tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path)
+    workspace.begin_stage("fuse", "a")
+    workspace.begin_stage("products", "b")
+    workspace.surface_model.write_bytes(b"heights")
+    workspace.begin_stage("report", "c")
+    workspace.report.write_text("page")
+    workspace.begin_stage("products", "b")
+    assert workspace.surface_model.exists()
+    workspace.begin_stage("products", "of another frame")
+    assert workspace.report.exists()
+    assert not workspace.surface_model.exists()
+    workspace.begin_stage("fuse", "d")
+    assert not workspace.report.exists()
+
+
+def test_what_another_process_is_writing_stays(tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path)
+    workspace.begin_stage("products", "a")
+    running, dead = (tmp_path / f".dsm.{number}.tmp.tif" for number in (os.getppid(), 2**22 + 1))
+    running.write_bytes(b"")
+    dead.write_bytes(b"")
+    workspace.begin_stage("products", "a")
+    assert running.exists()
+    assert not dead.exists()
