@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -12,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from sirpy.area import Area
 from sirpy.cloud import POINT
 from sirpy.colmap_launcher import installed_colmap
 from sirpy.cutting import cut as cut_photographs
 from sirpy.dense_stereo import stereo
+from sirpy.errors import InputError
 from sirpy.filtering import Reason
 from sirpy.layout import Region
 from sirpy.model_arrays import read_arrays
@@ -54,6 +57,46 @@ def test_cutting_costs_no_quality(town: Path, whole: Path, cut: Path) -> None:
     assert of_whole.accuracy[0] > 0.85 and of_whole.completeness[0] > 0.75
     assert abs(of_whole.completeness[0] - of_cut.completeness[0]) < 0.02
     assert abs(of_whole.accuracy[0] - of_cut.accuracy[0]) < 0.02
+
+
+def test_products_are_made_of_what_is_there(
+    town: Path, cut: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = tmp_path / "out"
+    shutil.copytree(cut, output)
+
+    def fails(*_: object, **__: object) -> Path:
+        raise InputError("no tile has a surface")
+
+    monkeypatch.setattr("sirpy.mesh.mesh", fails)
+    made = reconstruct(
+        town / "images",
+        output,
+        model=town / "sparse",
+        grid=Grid(2, 2),
+        products=("cloud", "dsm", "mesh", "ortho"),
+        model_crs="EPSG:32632",
+    )
+    # One that fails does not keep the others from being made.
+    assert [out.name for out in made.failed] == ["mesh"]
+    assert set(made.products) == {"cloud", "dsm", "ortho"}
+    with (
+        rasterio.open(made.products["dsm"]) as heights,
+        rasterio.open(made.products["ortho"]) as photo,
+    ):
+        assert heights.crs.to_epsg() == photo.crs.to_epsg() == 32632
+        assert heights.transform == photo.transform
+    assert {"cloud", "dsm", "ortho"} <= {
+        stage["name"] for stage in json.loads((output / "run.json").read_text())["stages"]
+    }
+    assert (output / "report.html").exists()
+
+
+def test_products_that_cannot_be_are_refused_first(town: Path, tmp_path: Path) -> None:
+    for options, said in (({"products": ["dtm"]}, "dtm"), ({"model_crs": "EPSG:4326"}, "4326")):
+        with pytest.raises(InputError, match=said):
+            reconstruct(town / "images", tmp_path / "out", model=town / "sparse", **options)
+        assert not (tmp_path / "out").exists()
 
 
 def test_overlap_that_reaches_out_of_an_area_has_depth_too(town: Path, tmp_path: Path) -> None:
