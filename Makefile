@@ -49,7 +49,7 @@ $(VENV)/.made: third_party/debian-packages.txt
 # The compiled parts are kept in build/, so that a change rebuilds only what depends on it.
 $(VENV)/.installed: $(VENV)/.made $(SOURCES)
 	@echo 'Building sirpy: some minutes the first time'
-	$(PIP) .
+	$(PIP) ".[tiles3d]"
 	@touch $@
 
 $(VENV)/.test-packages: $(VENV)/.made third_party/debian-packages.txt

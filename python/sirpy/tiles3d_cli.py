@@ -16,7 +16,7 @@ def tiles3d(
     workspace: Annotated[Path, typer.Argument(help="Folder of the workspace.", show_default=False)],
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress.")] = False,
 ) -> None:
-    """3D Tiles of the cloud for a browser: OUT/tiles3d/tileset.json. Needs `pip install "sirpy[tiles3d]"`."""
+    """3D Tiles of the cloud for a browser: OUT/tiles3d/tileset.json. Needs py3dtiles, sirpy's extra tiles3d."""
     from sirpy.colmap_dense import open_workspace
     from sirpy.progress import make_progress
     from sirpy.tiles3d import tiles3d as run
