@@ -473,7 +473,8 @@ class Workspace:
             hidden = [*path.parent.glob(f".{path.stem}.*.tmp*"), *path.rglob(".*.tmp*")]
             for found in hidden:
                 unfinished = _UNFINISHED.fullmatch(found.name)
-                if unfinished and not _is_running(int(unfinished[1])):
+                # Products may be made side by side.
+                if unfinished and not (stage in _LEAVES and _is_running(int(unfinished[1]))):
                     _remove(found)
 
     def _outputs(self, stage: str) -> list[Path]:
