@@ -86,6 +86,64 @@ def convert_pixels(
 ) -> NDArray[Any]:
     """The same of pixels in memory, height x width x channels."""
 
+# ---- tie_points: squares of photographs, and where they are in others
+
+class PatchCutter:
+    """Squares of `side` pixels with the top-left pixels `origins` (n, 2: x, y), cut from a photograph of shape
+    (width, height, channels, bytes of a sample) while its rows go by."""
+
+    def __init__(
+        self, photograph: tuple[int, int, int, int], origins: NDArray[np.int64], side: int
+    ) -> None: ...
+    @property
+    def first_row(self) -> int:
+        """The first row that is to be pushed."""
+    @property
+    def done(self) -> bool: ...
+    def push(self, rows: NDArray[Any]) -> None:
+        """The next rows, n x width x channels."""
+
+    def read(self, path: Path) -> None:
+        """Reads all that is needed from a JPEG or PNG. Raises InputError."""
+
+    def take(self, side: int) -> NDArray[np.uint16]:
+        """Luma (n, side, side), 8 bit times 256. Once."""
+
+class MatchingOptions:
+    """Pixels; see cpp/src/tie_points/least_squares_matching.h."""
+
+    min_correlation: float
+    max_rival: float
+    max_deviation: float
+    max_distortion: float
+    max_saturated: float
+    def __init__(self, radius: int, search_radius: int) -> None: ...
+
+def best_textured(
+    patches: NDArray[np.uint16], starts: NDArray[np.int32], radius: int, window_radius: int
+) -> NDArray[np.int32]:
+    """(n, 2) pixels with the most texture within `radius` of `starts` (n, 2), each in its patch."""
+
+def match_patches(
+    references: NDArray[np.uint16],
+    centres: NDArray[np.int32],
+    targets: NDArray[np.uint16],
+    positions: NDArray[np.float64],
+    affines: NDArray[np.float64],
+    white: int,
+    threads: int,
+    options: MatchingOptions,
+) -> tuple[
+    NDArray[np.uint8],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """(status (n,), position (n, 2), affine (n, 2, 2), covariance (n, 2, 2), correlation (n,)) of the pixels
+    `centres` of square patches in target patches; predicted at `positions`, with target_from_reference `affines`.
+    Positions are in pixels of the patch, the centre of its first at (0, 0)."""
+
 # ---- sub_image: sparse models (sirpy.model_arrays)
 
 # id, COLMAP's number of the camera model, width, height, parameters

@@ -284,6 +284,21 @@ def recapture_to_array(
     return made.take_pixels()
 
 
+def push_rows(photograph: Photograph, cutter: _core.PatchCutter) -> None:
+    """Decodes what `cutter` needs of a photograph, once.
+
+    Raises:
+        InputError: the photograph is damaged.
+    """
+    if photograph.format in ("JPEG", "PNG"):
+        cutter.read(photograph.path)
+        return
+    for rows in _read_ahead(_rows(photograph, cutter.first_row)):
+        cutter.push(rows)
+        if cutter.done:
+            break
+
+
 def white_level(photograph: Photograph) -> int:
     """The sample value that shows as white: of 16 bits, what one sample in a thousand exceeds.
 

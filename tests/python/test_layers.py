@@ -17,6 +17,7 @@ LAYERS = """
     photographs exif ply pictures
     flight truth synthetic
     model_files model_arrays self_calibration structure_from_motion sparse_model
+    patch_store tie_point_views tie_points
     lens recapturing sub_image_model native_scene
     colmap_lists view_fields view_windows view_selection windows
     filtering depth_range stereo_backend stereo_passes patch_match judging dense_stereo patchmatchnet

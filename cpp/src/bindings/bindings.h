@@ -6,6 +6,7 @@
 namespace sirpy {
 
 void BindSubImage(pybind11::module_& module);
+void BindTiePoints(pybind11::module_& module);
 void BindSparseModel(pybind11::module_& module);
 void BindStereo(pybind11::module_& module);
 void BindPatchmatchnet(pybind11::module_& module);

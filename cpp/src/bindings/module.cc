@@ -24,6 +24,7 @@ PYBIND11_MODULE(_core, module) {
   });
 
   sirpy::BindSubImage(module);
+  sirpy::BindTiePoints(module);
   sirpy::BindSparseModel(module);
   sirpy::BindStereo(module);
   sirpy::BindPatchmatchnet(module);
