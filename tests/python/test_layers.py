@@ -16,7 +16,7 @@ LAYERS = """
     _core
     photographs exif ply pictures
     flight truth synthetic
-    model_files model_arrays self_calibration structure_from_motion sparse_model
+    model_files model_arrays self_calibration initial_cameras structure_from_motion sparse_model
     lens recapturing sub_image_model native_scene
     colmap_lists view_fields view_windows view_selection windows
     filtering depth_range stereo_backend stereo_passes patch_match judging dense_stereo patchmatchnet
