@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
@@ -9,7 +11,7 @@ from typing import Any, Literal, get_args
 import pycolmap
 
 from sirpy.errors import InputError
-from sirpy.exif import Exif
+from sirpy.exif import Exif, exif_bytes, read_exif
 from sirpy.photographs import check_choice
 
 CameraPer = Literal["auto", "image", "folder", "single"]
@@ -69,16 +71,39 @@ def initial_camera(
         camera_model: COLMAP's name.
         has_exif: its EXIF says something about the lens.
     """
-    if has_exif:
+    focal = _exif_focal_length(photograph, size) if has_exif else None
+    camera = pycolmap.Camera.create_from_model_name(
+        0, camera_model, focal or 1.2 * max(size), *size
+    )
+    camera.has_prior_focal_length = focal is not None
+    return camera
+
+
+def _exif_focal_length(photograph: Path, size: Size) -> float | None:
+    """In pixels, as COLMAP reads it from EXIF and its table of cameras.
+
+    COLMAP decodes the whole photograph for that, so it gets a single row of pixels with the same
+    EXIF, as long as what it relates the focal length to: the diagonal where that is given as of
+    35 mm film, the longest side otherwise.
+    """
+    from PIL import Image
+
+    lens = read_exif(photograph).lens
+    length = float(max(size)) if not lens or lens[-1] in ("", "0") else math.hypot(*size)
+    row = math.ceil(length)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "row.jpg"
         try:
-            camera = pycolmap.infer_camera_from_image(
-                photograph, pycolmap.ImageReaderOptions(camera_model=camera_model)
-            )
-            if (camera.width, camera.height) == size:
-                return camera
-        except (ValueError, RuntimeError):
-            pass  # a format that COLMAP does not read: no focal length is known
-    return pycolmap.Camera.create_from_model_name(0, camera_model, 1.2 * max(size), *size)
+            Image.new("L", (row, 1)).save(path, exif=exif_bytes(photograph))
+            bitmap = pycolmap.Bitmap.read(path, False)
+            focal = bitmap.exif_focal_length() if bitmap else None
+        except (
+            OSError,
+            ValueError,
+            RuntimeError,
+        ):  # longer than a JPEG can be, more EXIF than fits
+            return None
+    return focal * length / row if focal and math.isfinite(focal) else None
 
 
 def _times(size: Size) -> str:
