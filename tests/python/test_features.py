@@ -65,11 +65,11 @@ def keypoints(database: Path, number: int = 1) -> NDArray[np.float32]:
 
 
 def num_matched(found: NDArray[np.float32], others: NDArray[np.float32]) -> int:
-    """Of `found`, those that have the same place and shape among `others`, both sorted by x."""
-    begin = np.searchsorted(others[:, 0], found[:, 0] - 1e-3)
-    end = np.searchsorted(others[:, 0], found[:, 0] + 1e-3)
+    """Of `found`, those that have the same place and shape (0.01 pixels) among `others`, both sorted by x."""
+    begin = np.searchsorted(others[:, 0], found[:, 0] - 0.01)
+    end = np.searchsorted(others[:, 0], found[:, 0] + 0.01)
     return sum(
-        bool((np.abs(others[a:b] - one).max(axis=1) < 1e-3).any())
+        bool((np.abs(others[a:b] - one).max(axis=1) < 0.01).any())
         for one, a, b in zip(found, begin, end, strict=True)
         if b > a
     )
