@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sirpy import georeference_cli, mesh_cli, rasters_cli, tiles3d_cli, weights_cli
+from sirpy import features_cli, georeference_cli, mesh_cli, rasters_cli, tiles3d_cli, weights_cli
 from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
 
@@ -481,6 +481,7 @@ def demo(
     _print_result(made.reconstruction, memory)
 
 
+features_cli.register(app)
 georeference_cli.register(app)
 app.add_typer(rasters_cli.app)
 mesh_cli.register(app)

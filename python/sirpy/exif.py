@@ -24,6 +24,11 @@ _BELOW = (1, 3)  # sea level, the ellipsoid
 
 _JPEG, _TIFF = b"\xff\xd8\xff", (b"II*\0", b"MM\0*")
 _SCAN, _APP1, _EXIF = 0xDA, 0xE1, b"Exif\0\0"
+# What Pillow raises of damaged EXIF.
+_DAMAGED = (
+    *(OSError, EOFError, SyntaxError, struct.error),
+    *(ValueError, TypeError, LookupError, ArithmeticError, AttributeError, MemoryError),
+)
 
 
 @dataclass(frozen=True)
@@ -48,10 +53,7 @@ def read_exif(photograph: Path) -> Exif:
                 dict(tags.get_ifd(_EXIF_IFD)),
                 dict(tags.get_ifd(_GPS_IFD)),
             )
-    except (
-        *(OSError, EOFError, SyntaxError, struct.error),
-        *(ValueError, TypeError, LookupError, ArithmeticError, AttributeError, MemoryError),
-    ):
+    except _DAMAGED:
         return Exif((), None)
     names = [main.get(tag) for tag in _MAKE_AND_MODEL] + [more.get(tag) for tag in _LENS]
     focals = [more.get(tag) for tag in _FOCAL_LENGTHS]
@@ -62,6 +64,19 @@ def read_exif(photograph: Path) -> Exif:
     if latitude is not None and longitude is not None and (latitude, longitude) != (0, 0):
         position = latitude, longitude  # both 0 is what cameras without a fix write
     return Exif(lens if has_focal else (), position, _altitude(gps) if position else None)
+
+
+def exif_bytes(photograph: Path) -> bytes:
+    """The EXIF of a photograph, as another JPEG may carry it; empty where there is none, or it is
+    damaged."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tags = _tags(photograph)
+            tags.get_ifd(_EXIF_IFD)
+            return tags.tobytes() if len(tags) else b""
+    except _DAMAGED:
+        return b""
 
 
 def _tags(photograph: Path) -> ExifTags:

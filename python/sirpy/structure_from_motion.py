@@ -27,6 +27,7 @@ import pycolmap
 from sirpy.child_process import serve
 from sirpy.errors import InputError
 from sirpy.exif import Exif, read_exif
+from sirpy.initial_cameras import initial_camera, lens_groups
 from sirpy.self_calibration import adjust
 
 _SEED = 1
@@ -131,17 +132,14 @@ def _import_photographs(task: Task, exifs: dict[str, Exif]) -> None:
     temporary = database.with_suffix(".tmp.db")
     temporary.unlink(missing_ok=True)
     pycolmap.Database.open(temporary).close()
-    lenses: dict[tuple[Any, ...], list[DecimatedPhotograph]] = {}
-    for photograph in task.photographs:
-        # Without EXIF a folder stands for a camera, as the photographs of one flight usually do.
-        lens = exifs[photograph.name].lens or (str(Path(photograph.name).parent),)
-        size = (photograph.width, photograph.height)
-        decimated_size = (photograph.decimated_width, photograph.decimated_height)
-        lenses.setdefault((lens, size, decimated_size), []).append(photograph)
-    for (_, _, decimated_size), group in lenses.items():
-        has_exif = bool(exifs[group[0].name].lens)
-        camera = _initial_camera(task, group[0], has_exif)
-        camera.rescale(*decimated_size)
+    by_name = {photograph.name: photograph for photograph in task.photographs}
+    sizes = {name: (one.width, one.height) for name, one in by_name.items()}
+    for names in lens_groups(sizes, exifs, "auto"):
+        group = [by_name[name] for name in names]
+        has_exif = bool(exifs[names[0]].lens)
+        path, size = Path(task.images) / names[0], sizes[names[0]]
+        camera = initial_camera(path, size, task.camera_model, has_exif=has_exif)
+        camera.rescale(group[0].decimated_width, group[0].decimated_height)
         with pycolmap.Database.open(temporary) as opened:
             camera_id = opened.write_camera(camera)
         pycolmap.import_images(
@@ -152,24 +150,6 @@ def _import_photographs(task: Task, exifs: dict[str, Exif]) -> None:
             options=pycolmap.ImageReaderOptions(existing_camera_id=camera_id),
         )
     os.replace(temporary, database)
-
-
-def _initial_camera(task: Task, photograph: DecimatedPhotograph, has_exif: bool) -> pycolmap.Camera:
-    """The camera of a native photograph, with the focal length of its EXIF where that is known."""
-    if has_exif:
-        try:
-            camera = pycolmap.infer_camera_from_image(
-                Path(task.images) / photograph.name,
-                pycolmap.ImageReaderOptions(camera_model=task.camera_model),
-            )
-            if (camera.width, camera.height) == (photograph.width, photograph.height):
-                return camera
-        except (ValueError, RuntimeError):
-            pass  # a format that COLMAP does not read: no focal length is known
-    side = max(photograph.width, photograph.height)
-    return pycolmap.Camera.create_from_model_name(
-        0, task.camera_model, 1.2 * side, photograph.width, photograph.height
-    )
 
 
 def _extract_features(task: Task, report: _Report) -> None:

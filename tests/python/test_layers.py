@@ -16,7 +16,8 @@ LAYERS = """
     _core
     photographs exif ply pictures
     flight truth synthetic
-    model_files model_arrays self_calibration structure_from_motion sparse_model
+    model_files model_arrays self_calibration initial_cameras structure_from_motion sparse_model
+    feature_selection feature_tiles feature_extraction features
     patch_store tie_point_views tie_points
     lens recapturing sub_image_model native_scene
     colmap_lists view_fields view_windows view_selection windows
@@ -37,7 +38,7 @@ LAYERS = """
     mesh_cutting mesh_files point_groups mesh_tiles mesh_matching mesh_joints mesh
     overview cloud_picture explaining residual_plot survey_pictures survey_report html_report
     deliverables pipeline demo plan_table
-    weights_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
+    weights_cli features_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
