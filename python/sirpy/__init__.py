@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sirpy.planning import plan
     from sirpy.recapturing import recapture
     from sirpy.rectangle import Grid, Rectangle
+    from sirpy.sfm_options import SfmOptions
     from sirpy.sparse_model import read_model, sparse
     from sirpy.stereo_backend import StereoOptions
     from sirpy.view_selection import views
@@ -48,6 +49,7 @@ _HOME = {
     "PixelOptions": "cut_tasks",
     "Rectangle": "rectangle",
     "Region": "layout",
+    "SfmOptions": "sfm_options",
     "SirpyError": "errors",
     "StereoOptions": "stereo_backend",
     "UndistortOptions": "lens",
@@ -76,6 +78,7 @@ __all__ = [
     "PixelOptions",
     "Rectangle",
     "Region",
+    "SfmOptions",
     "SirpyError",
     "StereoOptions",
     "UndistortOptions",
