@@ -57,7 +57,7 @@ def sequential_pairs(
 
     The likeness of two photographs is the number of their coarsest features that are each other's
     most similar (preemptive matching; Wu, Towards Linear-time Incremental Structure from Motion,
-    3DV 2013), which needs no trained vocabulary: 2 ms a pair.
+    3DV 2013), which needs no trained vocabulary: some ms a pair.
 
     Args:
         descriptors: SIFT of the `COARSEST` coarsest features of each photograph, (n, 128).
