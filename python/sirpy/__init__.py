@@ -1,8 +1,8 @@
 """sirpy: dense 3D reconstruction at native resolution by sub-image recapture.
 
-Each stage is a function, and a command of the same name: `sparse`, `plan`, `cut`, `views`, `stereo`, `fuse`,
+Each stage is a function, and a command of the same name: `plan`, `cut`, `views`, `stereo`, `fuse`,
 `report`; `reconstruct` runs them all. `recapture` gives one rectangle of one photograph, `export` serves other
-engines. They are imported at use, so that `import sirpy` is quick.
+engines. They are imported at use, so that `import sirpy` is quick. The cameras are made by `sirpy.sfm.sfm`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from sirpy.planning import plan
     from sirpy.recapturing import recapture
     from sirpy.rectangle import Grid, Rectangle
-    from sirpy.sparse_model import read_model, sparse
+    from sirpy.sfm_options import SfmOptions
+    from sirpy.sparse_model import read_model
     from sirpy.stereo_backend import StereoOptions
     from sirpy.view_selection import views
     from sirpy.windows import read_window
@@ -48,6 +49,7 @@ _HOME = {
     "PixelOptions": "cut_tasks",
     "Rectangle": "rectangle",
     "Region": "layout",
+    "SfmOptions": "sfm_options",
     "SirpyError": "errors",
     "StereoOptions": "stereo_backend",
     "UndistortOptions": "lens",
@@ -64,7 +66,6 @@ _HOME = {
     "recapture": "recapturing",
     "reconstruct": "pipeline",
     "report": "html_report",
-    "sparse": "sparse_model",
     "stereo": "dense_stereo",
     "views": "view_selection",
 }
@@ -76,6 +77,7 @@ __all__ = [
     "PixelOptions",
     "Rectangle",
     "Region",
+    "SfmOptions",
     "SirpyError",
     "StereoOptions",
     "UndistortOptions",
@@ -92,7 +94,6 @@ __all__ = [
     "recapture",
     "reconstruct",
     "report",
-    "sparse",
     "stereo",
     "views",
 ]

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sirpy import features_cli, georeference_cli, mesh_cli, rasters_cli, tiles3d_cli, weights_cli
+from sirpy import (
+    features_cli,
+    georeference_cli,
+    mesh_cli,
+    rasters_cli,
+    sfm_cli,
+    tiles3d_cli,
+    weights_cli,
+)
 from sirpy.engine_options import CopyPolicy, Engine, MvsnetDepths
 from sirpy.errors import InputError, SirpyError
+from sirpy.left_out import report_left_out
 
 if TYPE_CHECKING:
-    from sirpy.native_images import LeftOut
     from sirpy.pipeline import Reconstruction
     from sirpy.rectangle import Grid
 
@@ -94,9 +101,13 @@ _MEMORY, _STEREO = "8GB", "patch_match"
 
 @app.command()
 def reconstruct(
+    context: typer.Context,
     images: Images,
     output: Output,
     model: Model = None,
+    no_native: sfm_cli.NoNative = False,
+    camera_model: sfm_cli.CameraModel = "OPENCV",
+    camera_per: sfm_cli.CameraPer = "auto",
     memory: Memory = _MEMORY,
     columns: Columns = None,
     rows: Rows = None,
@@ -120,12 +131,21 @@ def reconstruct(
     from sirpy.memory import parse_memory
     from sirpy.pipeline import reconstruct as run
     from sirpy.progress import make_progress
+    from sirpy.sfm_options import SfmOptions
     from sirpy.stereo_backend import StereoOptions
 
+    given = _given(context, "no_native", "camera_model", "camera_per")
+    if model is not None and given:
+        raise InputError(
+            f"{given[0]} is about cameras that are made of the photographs, and --model gives them: "
+            "give one of the two"
+        )
     result = run(
         images,
         output,
         model=model,
+        sfm_options=SfmOptions(camera_model=camera_model, camera_per=cast(Any, camera_per)),
+        native=not no_native,
         memory=parse_memory(memory),
         grid=_grid(columns, rows, column_cuts, row_cuts),
         region=read_region(roi, roi_list, area, area_crs, model_crs if area else None),
@@ -138,35 +158,7 @@ def reconstruct(
         progress=make_progress(quiet),
     )
     _print_result(result, memory)
-    _report_left_out(result.left_out, failed=result.failed)
-
-
-@app.command()
-def sparse(
-    images: Images,
-    output: Output,
-    max_size: Annotated[int, typer.Option(help="Longest side that is matched, pixels.")] = 2304,
-    memory: Memory = _MEMORY,
-    threads: Threads = 0,
-    quiet: Quiet = False,
-) -> None:
-    """Cameras and sparse points by structure from motion on decimated photographs."""
-    import os
-
-    from sirpy.memory import parse_memory
-    from sirpy.progress import make_progress
-    from sirpy.sparse_model import sparse as run
-
-    result = run(
-        images,
-        output,
-        max_size=max_size,
-        memory=parse_memory(memory),
-        threads=threads or os.cpu_count() or 1,
-        progress=make_progress(quiet),
-    )
-    print(f"model: {result.model}")
-    _report_left_out(result.left_out)
+    report_left_out(result.left_out, failed=result.failed)
 
 
 @app.command()
@@ -284,7 +276,7 @@ def cut(
         progress=make_progress(quiet),
     )
     print(f"sub-images: {workspace.images}")
-    _report_left_out(workspace.left_out)
+    report_left_out(workspace.left_out)
 
 
 @app.command()
@@ -453,7 +445,7 @@ def fuse(
         )
         for path in files[:1]:  # none without points
             print(f"{format}: {path.parent if tiles else path}")
-    _report_left_out(made.left_out, "depth maps")
+    report_left_out(made.left_out, "depth maps")
 
 
 @app.command()
@@ -481,6 +473,7 @@ def demo(
     _print_result(made.reconstruction, memory)
 
 
+sfm_cli.register(app)
 features_cli.register(app)
 georeference_cli.register(app)
 app.add_typer(rasters_cli.app)
@@ -499,24 +492,6 @@ def _print_result(result: Reconstruction, memory: str) -> None:
         print(f"picture: {result.workspace.cloud_picture}")
     if result.peak_bytes is not None:
         print(f"memory:  {gigabytes(result.peak_bytes)} at the peak, of {memory}")
-
-
-def _report_left_out(
-    left_out: Sequence[LeftOut], what: str = "photographs", failed: Sequence[LeftOut] = ()
-) -> None:
-    """The exit status says that something is missing, although the rest is done."""
-    missing = [
-        f"without {len(some)} of the {of_what} ({_reasons(some)})"
-        for some, of_what in ((left_out, what), (failed, "products"))
-        if some
-    ]
-    if missing:
-        raise InputError(f"the result is made {' and '.join(missing)}")
-
-
-def _reasons(left_out: Sequence[LeftOut]) -> str:
-    more = f"; and {len(left_out) - 3} more" if len(left_out) > 3 else ""
-    return "; ".join(f"{out.name}: {out.reason}" for out in left_out[:3]) + more
 
 
 def _given(context: typer.Context, *parameters: str) -> list[str]:

@@ -67,7 +67,7 @@ def georeference(
         marks: table of where photographs show them; see `read_marks`.
         check: ids of control points that are only compared.
         model: that the workspace was cut from, with the cameras of the photographs; by default the one that
-            `sirpy sparse` made in the workspace.
+            `sirpy reconstruct` made in the workspace.
         as_is: the model is in `crs` already, or z up in metres without it, and stays as it is.
         crs: of the products, projected; by default that of the coordinates, or their UTM zone.
         max_residual: in the unit of the CRS, instead of five sigma.
@@ -208,12 +208,12 @@ def _in_the_model(places: Places, path: Path, scene: NativeScene, progress: Prog
 def _solved(workspace: Workspace, model: Path | None, scene: NativeScene) -> SparseModel:
     """The cameras of the photographs, in the frame of the workspace's model."""
     if model is None:
-        if not workspace.sfm_model.is_dir():
+        if not workspace.solved_model.is_dir():
             raise InputError(
                 "marks are in pixels of the photographs, and this workspace has only undistorted cameras: give "
                 "the model that it was cut from with --model"
             )
-        model = workspace.sfm_model
+        model = workspace.solved_model
     solved = read_arrays(model)
     centres = np.array([camera.centre for camera in scene.cameras.values()])
     extent = float(np.ptp(centres, axis=0).max())

@@ -16,6 +16,7 @@ from sirpy.errors import InputError
 
 _FILES = ("cameras", "images", "points3D")  # what every COLMAP reads
 _EXTRA_FILES = ("rigs", "frames")  # COLMAP 4 only
+MODEL_FILES = tuple(f"{name}.bin" for name in (*_FILES, *_EXTRA_FILES))
 _SUBFOLDERS = (".", "sparse", "0", "sparse/0")  # where COLMAP's own tools put a model
 
 

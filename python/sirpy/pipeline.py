@@ -1,4 +1,5 @@
-"""The whole pipeline: photographs -> sparse model -> plan -> recapture -> view selection -> stereo -> fusion."""
+"""The whole pipeline: photographs -> sparse model -> refinement -> plan -> recapture -> view selection
+-> stereo -> fusion."""
 
 from __future__ import annotations
 
@@ -28,6 +29,8 @@ from sirpy.planning import Plan, plan
 from sirpy.progress import LoggedProgress, Progress
 from sirpy.rectangle import Grid
 from sirpy.resources import Meter
+from sirpy.sfm import refine_cameras
+from sirpy.sfm_options import SfmOptions
 from sirpy.sparse_model import predicted_sparse_peak, sparse
 from sirpy.stereo_backend import StereoOptions, check_backend
 from sirpy.sub_image_model import undistorted_model
@@ -55,6 +58,8 @@ def reconstruct(
     output: Path | str,
     *,
     model: Path | str | None = None,
+    sfm_options: SfmOptions = SfmOptions(),
+    native: bool = True,
     memory: int = DEFAULT_MEMORY,
     grid: Grid | None = None,
     region: Region = Region(),
@@ -75,6 +80,8 @@ def reconstruct(
         images: folder of photographs.
         output: folder of the workspace.
         model: COLMAP model of the photographs in native pixels; made from the photographs if None.
+        sfm_options: how it is made then.
+        native: refine the model that is made at native resolution.
         memory: bytes that the whole process tree may take.
         grid: of sub-images; chosen for `memory` if None.
         region: what of the photographs is used; all of it by default.
@@ -112,9 +119,27 @@ def reconstruct(
     if model is None:
         threads_used = threads or os.cpu_count() or 1
         with log.stage(workspace, "sparse", len(names), "photograph"):
-            made = sparse(images, output, memory=memory, threads=threads_used, progress=progress)
-            model, left_out = made.model, made.left_out
-        log.predicted["sparse"] = predicted_sparse_peak(images, threads_used, memory)
+            made = sparse(
+                images,
+                output,
+                options=sfm_options,
+                memory=memory,
+                threads=threads_used,
+                progress=progress,
+            )
+        log.predicted["sparse"] = predicted_sparse_peak(
+            images, threads_used, memory, max_size=sfm_options.max_image_size
+        )
+        oriented = len(made.components[0])
+        with log.stage(workspace, "refine", oriented if native else 0, "photograph"):
+            solution = refine_cameras(
+                *(images, workspace, made.left_out, made.components),
+                native=native,
+                memory=memory,
+                threads=threads_used,
+                progress=progress,
+            )
+        model, left_out = solution.model, solution.left_out
     solved = read_arrays(model)
     chosen = plan(
         native_scene(undistorted_model(solved)),

@@ -10,6 +10,7 @@ photograph.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pycolmap
@@ -22,26 +23,30 @@ _ACCEPTED_DEVIATION = 1e-3
 _MOST_PHOTOGRAPHS = 300
 
 
-def adjust(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+def adjust(
+    model: pycolmap.Reconstruction, priors: Sequence[pycolmap.PosePrior] = ()
+) -> pycolmap.Reconstruction:
     """The model after bundle adjustment of poses, points and lenses, principal points where
-    determined.
+    determined; cameras keep to the positions of `priors` where there are some.
 
-    Runs on one thread, for the same bytes every time. Falls back to the model as given when the
-    adjustment fails.
+    Principal points of rigs stay. Runs on one thread, for the same bytes every time. Falls back to
+    the model as given when the adjustment fails.
     """
-    plain = _adjusted(model, principal_points=False)[0]
+    plain = _adjusted(model, priors, principal_points=False)[0]
     if plain is None:
         return model
-    if model.num_reg_images() > _MOST_PHOTOGRAPHS:
+    # COLMAP has no covariance of several cameras that share a pose.
+    of_several = any(rig.num_sensors() > 1 for rig in model.rigs.values())
+    if of_several or model.num_reg_images() > _MOST_PHOTOGRAPHS:
         return plain
-    free, deviations = _adjusted(plain, principal_points=True)
+    free, deviations = _adjusted(plain, priors, principal_points=True)
     if free is None or not deviations or max(deviations) > _ACCEPTED_DEVIATION:
         return plain
     return free
 
 
 def _adjusted(
-    model: pycolmap.Reconstruction, principal_points: bool
+    model: pycolmap.Reconstruction, priors: Sequence[pycolmap.PosePrior], principal_points: bool
 ) -> tuple[pycolmap.Reconstruction | None, list[float]]:
     """(adjusted copy, relative deviation of each principal point); None where the adjustment
     failed."""
@@ -53,8 +58,17 @@ def _adjusted(
     configuration = pycolmap.BundleAdjustmentConfig()
     for image_id in adjusted.reg_image_ids():
         configuration.add_image(image_id)
-    configuration.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, configuration, adjusted)
+    if priors:
+        of_priors = pycolmap.PosePriorBundleAdjustmentOptions()
+        of_priors.alignment_ransac.random_seed = 1
+        # Single positions are off by far more than GPS promises.
+        of_priors.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
+        adjuster = pycolmap.create_pose_prior_ceres_bundle_adjuster(
+            options, of_priors, configuration, list(priors), adjusted
+        )
+    else:
+        configuration.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+        adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, configuration, adjusted)
     if not adjuster.solve().is_solution_usable():
         return None, []
     adjusted.update_point_3d_errors()

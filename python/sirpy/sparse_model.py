@@ -27,7 +27,9 @@ from sirpy.model_files import model_identity, read_model
 from sirpy.native_images import LeftOut
 from sirpy.photographs import check_folders, decimate, find_photographs, photograph_size
 from sirpy.progress import Progress, Steps
+from sirpy.sfm_options import SfmOptions
 from sirpy.structure_from_motion import DecimatedPhotograph, Task, first_octave
+from sirpy.survey import Survey, look_at
 from sirpy.workspace import Workspace, check_writable
 
 __all__ = [
@@ -38,11 +40,6 @@ __all__ = [
     "read_model",
     "sparse",
 ]
-
-# One focal length and one radial term: as good as OPENCV's eight parameters on convergent views
-# once the principal point is free, nearer to the calibrated focal length on a short nadir strip,
-# and three times faster.
-DEFAULT_CAMERA_MODEL = "SIMPLE_RADIAL"
 
 _PROCESS = 0.15e9  # bytes of an interpreter with pycolmap and rasterio
 _SIFT = {
@@ -56,10 +53,12 @@ _MAPPING = 12e6  # bytes per photograph of matches, tracks and bundle adjustment
 @dataclass(frozen=True)
 class SparseResult:
     """`model`: folder of the COLMAP model in native pixels; `left_out`: photographs that are not in
-    it."""
+    it; `components`: names of the photographs that could be related to each other, first those of
+    the model."""
 
     model: Path
     left_out: list[LeftOut]
+    components: list[list[str]]
 
 
 def predicted_peak(
@@ -103,8 +102,7 @@ def sparse(
     images: Path | str,
     output: Path | str,
     *,
-    max_size: int = 2304,
-    camera_model: str = DEFAULT_CAMERA_MODEL,
+    options: SfmOptions = SfmOptions(),
     memory: int | None = None,
     threads: int = 0,
     progress: Progress | None = None,
@@ -112,17 +110,17 @@ def sparse(
     """Makes the sparse model of the photographs in `images`, in native pixels, in the workspace
     `output`.
 
-    One camera per lens (by EXIF, else by folder, and by size), SIFT, matching, incremental mapping;
-    the largest model is kept. The result does not depend on `threads` or `memory`; the same command
+    SIFT, matching, mapping, a last bundle adjustment in native pixels; the largest model is kept,
+    and the others are named. The result does not depend on `threads` or `memory`; the same command
     continues a run that was killed.
 
     Args:
-        max_size: longest side of the decimated photographs in pixels.
         memory: bound in bytes on this process and its child together; None for no bound.
         threads: 0 for one on each core.
 
     Raises:
-        InputError: fewer than two photographs are there, whole, or could be oriented.
+        InputError: fewer than two photographs are there, whole, or could be oriented; they do not
+            have what the options ask for.
         BudgetError: not even one thread fits in `memory`.
         OutputError: the workspace cannot be written.
     """
@@ -136,13 +134,19 @@ def sparse(
     check_folders(images, output)
     check_writable(output)
     sizes, left_out = _native_sizes(images, find_photographs(images), progress)
-    extractors = _extractors(list(sizes.values()), threads, memory, max_size)
+    extractors = _extractors(list(sizes.values()), threads, memory, options.max_image_size)
+    survey = look_at(images, sizes, options)
     inputs = fingerprint(
-        [(name, *file_identity(images / name)) for name in sizes], max_size, camera_model
+        [(name, *file_identity(images / name)) for name in sizes],
+        {**asdict(options), "rig": survey.rigs},
     )
     if workspace.begin_stage("sparse", inputs) and workspace.sfm_left_out.is_file():
-        return SparseResult(workspace.sfm_model, _read_left_out(workspace))
-    photographs = _decimated(images, sizes, workspace, max_size, left_out, progress)
+        return _result(workspace)
+    for note in survey.notes:
+        progress.note(note)
+    photographs = _decimated(
+        images, sizes, survey, workspace, options.max_image_size, left_out, progress
+    )
     if len(photographs) < 2:
         raise InputError(
             f"{images} has {len(photographs)} usable photograph(s): structure from motion needs "
@@ -154,19 +158,45 @@ def sparse(
         database=str(workspace.sfm_database.resolve()),
         model=str(workspace.sfm_model.resolve()),
         photographs=tuple(photographs),
-        camera_model=camera_model,
+        camera_model=options.camera_model,
+        matcher=survey.matcher,
+        mapper=options.mapper,
+        use_priors=options.gps == "use",
+        rigs=survey.rigs,
         extractors=extractors,
         threads=threads,
     )
-    registered = _run(task, workspace, progress)
-    for photograph in photographs:
-        if photograph.name not in registered:
-            reason = "it could not be oriented: too few matches with the other photographs"
-            _leave_out(photograph.name, reason, left_out, progress)
-    left_out.sort(key=lambda out: out.name)
+    components = _run(task, workspace, progress)
+    _name_components(components, photographs, left_out, progress)
+    write_json(workspace.sfm_components, components)
     # Written last: it says that the stage is complete.
     write_json(workspace.sfm_left_out, [asdict(out) for out in left_out])
-    return SparseResult(workspace.sfm_model, left_out)
+    return SparseResult(workspace.sfm_model, left_out, components)
+
+
+def _name_components(
+    components: list[list[str]],
+    photographs: list[DecimatedPhotograph],
+    left_out: list[LeftOut],
+    progress: Progress,
+) -> None:
+    """Says which photographs are not in the largest component; they join `left_out`."""
+    chosen = set(components[0])
+    reasons: dict[str, str] = {}
+    for number, names in enumerate(components[1:], start=2):
+        progress.note(f"component {number}: {len(names)} photographs: {', '.join(names)}")
+        for name in names:
+            reasons.setdefault(
+                name,
+                f"it belongs to component {number}, of {len(names)} photographs, which shares too "
+                f"few points with the largest one, of {len(chosen)}",
+            )
+    unrelated = "it could not be oriented: too few matches with the other photographs"
+    for photograph in photographs:
+        if photograph.name not in chosen:
+            reason = reasons.get(photograph.name, unrelated)
+            _leave_out(photograph.name, reason, left_out, progress)
+    left_out.sort(key=lambda out: out.name)
 
 
 def _native_sizes(
@@ -191,6 +221,7 @@ def _leave_out(name: str, reason: str, left_out: list[LeftOut], progress: Progre
 def _decimated(
     images: Path,
     sizes: dict[str, tuple[int, int]],
+    survey: Survey,
     workspace: Workspace,
     max_size: int,
     left_out: list[LeftOut],
@@ -200,14 +231,18 @@ def _decimated(
     photographs = []
     workspace.sfm_images.mkdir(parents=True, exist_ok=True)
     with progress.stage("decimating", len(sizes), "photograph") as steps:
-        for index, (name, size) in enumerate(sizes.items()):
-            # Numbers, since COLMAP's list of pairs cannot hold names with spaces.
-            target = workspace.sfm_images / f"{index:06d}.jpg"
+        for name, size in sizes.items():
+            seen = survey.photographs[name]
+            target = workspace.sfm_images / seen.decimated
             try:
                 if not target.is_file():
                     decimate(images / name, target, max_size)
+                decimated_size = photograph_size(target)
                 photographs.append(
-                    DecimatedPhotograph(name, *size, target.name, *photograph_size(target))
+                    DecimatedPhotograph(
+                        *(name, *size, seen.decimated, *decimated_size),
+                        *(seen.camera, seen.has_exif, seen.position),
+                    )
                 )
             except InputError as error:
                 _leave_out(name, str(error), left_out, progress)
@@ -238,8 +273,8 @@ def _extractors(
     )
 
 
-def _run(task: Task, workspace: Workspace, progress: Progress) -> set[str]:
-    """Runs structure from motion in a process of its own; the names of the oriented photographs.
+def _run(task: Task, workspace: Workspace, progress: Progress) -> list[list[str]]:
+    """Runs structure from motion in a process of its own; the names in each component.
 
     Raises:
         InputError: the process found the input unusable, or did not end well.
@@ -266,12 +301,12 @@ def _run(task: Task, workspace: Workspace, progress: Progress) -> set[str]:
             process.wait()
     if "error" in last:
         raise InputError(last["error"])
-    if status != 0 or "registered" not in last:
+    if status != 0 or "components" not in last:
         how = f"was ended by signal {-status}" if status < 0 else f"failed (exit status {status})"
         raise InputError(
             f"structure from motion on {task.images} {how}: the end of {workspace.sfm_log} says why"
         )
-    return set(last["registered"])
+    return [list(names) for names in last["components"]]
 
 
 def _follow(messages: IO[str], database: Path, progress: Progress) -> dict[str, Any]:
@@ -327,9 +362,15 @@ def _rows(database: Path, table: str) -> int:
         return 0  # busy; the next look will tell
 
 
-def _read_left_out(workspace: Workspace) -> list[LeftOut]:
-    return read_json(
+def _result(workspace: Workspace) -> SparseResult:
+    """What an earlier run made."""
+    mend = f"delete {workspace.sfm} and run again"
+    left_out = read_json(
         workspace.sfm_left_out,
         lambda entries: [LeftOut(str(one["name"]), str(one["reason"])) for one in entries],
-        f"delete {workspace.sfm} and run again",
+        mend,
     )
+    components = read_json(
+        workspace.sfm_components, lambda found: [[str(n) for n in one] for one in found], mend
+    )
+    return SparseResult(workspace.sfm_model, left_out, components)

@@ -23,28 +23,32 @@ from typing import Any
 
 import numpy as np
 import pycolmap
+from numpy.typing import NDArray
 
 from sirpy.child_process import serve
 from sirpy.errors import InputError
-from sirpy.exif import Exif, read_exif
-from sirpy.initial_cameras import initial_camera, lens_groups
+from sirpy.initial_cameras import initial_camera
+from sirpy.lens_models import mapping_model, turn_cameras
+from sirpy.mapping import SEED, map_photographs
+from sirpy.pairing import COARSEST, Pairs, all_pairs, sequential_pairs, spatial_pairs
+from sirpy.position_priors import write_priors
+from sirpy.rigs import Rig, RigCamera, are_posed, write_rigs
 from sirpy.self_calibration import adjust
+from sirpy.sfm_options import Mapper, Matcher
 
-_SEED = 1
 # Upsampled twice (COLMAP's first octave -1), a 2304x1536 photograph takes 1.05 GB and 9 CPU s
 # instead of 0.29 GB and 2.7, for the same cameras; below this size (longest side, px) the features
 # would become too few.
 _UPSAMPLED_SIDE = 1200
-# All pairs cost count^2 / 2 times 0.5 CPU s: 15 minutes on one core for 60 photographs.
-_ALL_PAIRS = 60
-_NEIGHBOURS = 30  # nearest photographs that each is matched with, beyond that number
-_SEQUENCE = 5  # and those before and after it
-_EARTH_RADIUS = 6_371_000.0  # m
 
 
 @dataclass(frozen=True)
 class DecimatedPhotograph:
-    """A photograph: its name and size (px), and the name and size of its decimated copy."""
+    """A photograph: its name and size (px), and the name and size of its decimated copy.
+
+    Photographs of equal `camera` share one; `has_exif`: EXIF tells its lens; `position`: latitude
+    and longitude in degrees, altitude in m.
+    """
 
     name: str
     width: int
@@ -52,6 +56,13 @@ class DecimatedPhotograph:
     decimated: str
     decimated_width: int
     decimated_height: int
+    camera: int
+    has_exif: bool
+    position: tuple[float, float, float | None] | None
+
+    @property
+    def ground(self) -> tuple[float, float] | None:
+        return None if self.position is None else (self.position[0], self.position[1])
 
 
 @dataclass(frozen=True)
@@ -65,6 +76,10 @@ class Task:
     model: str
     photographs: tuple[DecimatedPhotograph, ...]
     camera_model: str
+    matcher: Matcher  # not auto
+    mapper: Mapper
+    use_priors: bool
+    rigs: tuple[Rig, ...]
     extractors: int
     threads: int
 
@@ -76,6 +91,9 @@ class Task:
         values = json.loads(path.read_text(encoding="utf-8"))
         values["photographs"] = tuple(
             DecimatedPhotograph(**entry) for entry in values["photographs"]
+        )
+        values["rigs"] = tuple(
+            tuple(RigCamera(**camera) for camera in rig) for rig in values["rigs"]
         )
         return cls(**values)
 
@@ -89,8 +107,8 @@ class _Report:
     """Speaks to the caller, one JSON object a line.
 
     {"stage", "total", "unit", "table"}: a stage begins; the rows of `table` in the database count
-    its steps, or where that is null {"done"} does. {"note"} is for the user. Last {"registered"},
-    the names in the model, or {"error"}.
+    its steps, or where that is null {"done"} does. {"note"} is for the user. Last {"components"},
+    the names in each model, that of the largest first, or {"error"}.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -105,41 +123,47 @@ class _Report:
 
 
 def solve(task: Task, report: _Report) -> None:
-    """Features, pairs, mapping, then the model in native pixels.
+    """Features, pairs, mapping, then the largest model in native pixels.
 
     Raises:
         InputError: no two photographs could be oriented to each other.
     """
-    exifs = {
-        photograph.name: read_exif(Path(task.images) / photograph.name)
-        for photograph in task.photographs
-    }
-    _import_photographs(task, exifs)
+    _import_photographs(task)
     _extract_features(task, report)
-    _match(task, exifs, report)
-    model = _map(task, report)
-    _rescale_to_native(model, task.photographs)
-    model = adjust(model)
+    _match(task, report)
+    models = _map(task, report)
+    names = {photograph.decimated: photograph.name for photograph in task.photographs}
+    components = [sorted(names[m.image(i).name] for i in m.reg_image_ids()) for m in models]
+    model = models[0]
+    _rescale_to_native(model, task)
+    model = adjust(model, _priors(task))
+    # Last: what decimated photographs tell of the further parameters makes poses worse.
+    turn_cameras(model, task.camera_model)
     _write(model, Path(task.model))
-    report.say(registered=sorted(model.image(i).name for i in model.reg_image_ids()))
+    report.say(components=components)
 
 
-def _import_photographs(task: Task, exifs: dict[str, Exif]) -> None:
-    """Writes cameras and photographs to the database, which appears whole or not at all."""
+def _import_photographs(task: Task) -> None:
+    """Writes cameras, photographs, rigs and positions to the database, which appears whole or not
+    at all."""
     database = Path(task.database)
     if database.exists():
         return
     temporary = database.with_suffix(".tmp.db")
     temporary.unlink(missing_ok=True)
     pycolmap.Database.open(temporary).close()
-    by_name = {photograph.name: photograph for photograph in task.photographs}
-    sizes = {name: (one.width, one.height) for name, one in by_name.items()}
-    for names in lens_groups(sizes, exifs, "auto"):
-        group = [by_name[name] for name in names]
-        has_exif = bool(exifs[names[0]].lens)
-        path, size = Path(task.images) / names[0], sizes[names[0]]
-        camera = initial_camera(path, size, task.camera_model, has_exif=has_exif)
-        camera.rescale(group[0].decimated_width, group[0].decimated_height)
+    groups: dict[int, list[DecimatedPhotograph]] = {}
+    for photograph in task.photographs:
+        groups.setdefault(photograph.camera, []).append(photograph)
+    for group in groups.values():
+        first = group[0]
+        camera = initial_camera(
+            Path(task.images) / first.name,
+            (first.width, first.height),
+            mapping_model(task.camera_model),
+            has_exif=first.has_exif,
+        )
+        camera.rescale(first.decimated_width, first.decimated_height)
         with pycolmap.Database.open(temporary) as opened:
             camera_id = opened.write_camera(camera)
         pycolmap.import_images(
@@ -149,6 +173,11 @@ def _import_photographs(task: Task, exifs: dict[str, Exif]) -> None:
             image_names=[photograph.decimated for photograph in group],
             options=pycolmap.ImageReaderOptions(existing_camera_id=camera_id),
         )
+    if task.rigs and are_posed(task.rigs):
+        write_rigs(temporary, task.rigs)
+    if task.use_priors:
+        positions = {p.decimated: p.position for p in task.photographs if p.position is not None}
+        write_priors(temporary, positions)
     os.replace(temporary, database)
 
 
@@ -162,21 +191,15 @@ def _extract_features(task: Task, report: _Report) -> None:
     pycolmap.extract_features(task.database, task.decimated, extraction_options=options)
 
 
-def _match(task: Task, exifs: dict[str, Exif], report: _Report) -> None:
+def _match(task: Task, report: _Report) -> None:
     """Matches the pairs and verifies them geometrically."""
-    pairs = _pairs([exifs[photograph.name].position for photograph in task.photographs])
-    if len(task.photographs) > _ALL_PAIRS and any(
-        exifs[photograph.name].position is None for photograph in task.photographs
-    ):
-        report.say(
-            note=f"not every photograph has a GPS position, so all {len(pairs)} pairs are matched"
-        )
+    pairs = _pairs(task, report)
     names = [photograph.decimated for photograph in task.photographs]
     list_path = Path(task.database).with_name("pairs.txt")
     list_path.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in pairs), encoding="utf-8")
     matching = pycolmap.FeatureMatchingOptions(num_threads=task.threads)
     verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = _SEED
+    verification.ransac.random_seed = SEED
     report.stage("matching", len(pairs), "pair", "two_view_geometries")
     pycolmap.match_image_pairs(
         task.database,
@@ -186,73 +209,87 @@ def _match(task: Task, exifs: dict[str, Exif], report: _Report) -> None:
     )
 
 
-def _pairs(positions: list[tuple[float, float] | None]) -> list[tuple[int, int]]:
-    """Pairs of indices to match: all of a small set, else near neighbours by GPS and by
-    sequence."""
-    count = len(positions)
-    known = [position for position in positions if position is not None]
-    if count <= _ALL_PAIRS or len(known) < count:
-        return [(i, j) for i in range(count) for j in range(i + 1, count)]
-    degrees = np.array(known)
-    scale = np.array([1.0, np.cos(np.radians(degrees[:, 0].mean()))])
-    metres = np.radians(degrees) * scale * _EARTH_RADIUS
-    pairs = {(i, j) for i in range(count) for j in range(i + 1, min(count, i + 1 + _SEQUENCE))}
-    for i in range(count):
-        distance = np.linalg.norm(metres - metres[i], axis=1)
-        for j in np.argsort(distance, kind="stable")[: _NEIGHBOURS + 1].tolist():
-            if i != j:
-                pairs.add((min(i, j), max(i, j)))
-    return sorted(pairs)
+def _pairs(task: Task, report: _Report) -> Pairs:
+    count = len(task.photographs)
+    if task.matcher == "exhaustive":
+        return all_pairs(count)
+    if task.matcher == "spatial":
+        positions = [photograph.ground for photograph in task.photographs]
+        return spatial_pairs([position for position in positions if position is not None])
+    report.stage("comparing", count, "photograph")
+    compared = 0
+
+    def advance() -> None:
+        nonlocal compared
+        compared += 1
+        report.say(done=compared)
+
+    return sequential_pairs(_coarsest_descriptors(task), advance)
 
 
-def _map(task: Task, report: _Report) -> pycolmap.Reconstruction:
-    """The largest model of the incremental mapper."""
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = 1
-    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = _SEED
-    options.min_model_size = 2
+def _coarsest_descriptors(task: Task) -> list[NDArray[np.uint8]]:
+    """Those of the coarsest features of each photograph, the coarsest first."""
+    found = []
+    with pycolmap.Database.open(task.database) as opened:
+        image_ids = {image.name: image.image_id for image in opened.read_all_images()}
+        for photograph in task.photographs:
+            image_id = image_ids[photograph.decimated]
+            keypoints: NDArray[np.float32] = opened.read_keypoints(image_id)
+            # Columns x, y and the affine shape: its determinant is the square of the scale.
+            shape = keypoints[:, 2:6]
+            area = np.abs(shape[:, 0] * shape[:, 3] - shape[:, 1] * shape[:, 2])
+            coarsest = np.argsort(-area, kind="stable")[:COARSEST]
+            found.append(opened.read_descriptors(image_id).data[coarsest])
+    return found
+
+
+def _map(task: Task, report: _Report) -> list[pycolmap.Reconstruction]:
+    """The models, the largest first."""
+    database, images = Path(task.database), Path(task.decimated)
     total = len(task.photographs)
-    registered = 0
 
-    def advance(images: int) -> None:
-        nonlocal registered
-        registered = min(total, registered + images)
-        report.say(done=registered)
+    def run(database: Path, stage: str) -> list[pycolmap.Reconstruction]:
+        registered = 0
 
-    folder = Path(task.database).with_name("models")
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    report.stage("orienting", total, "photograph")
-    models = pycolmap.incremental_mapping(
-        task.database,
-        task.decimated,
-        folder,
-        options,
-        initial_image_pair_callback=lambda: advance(2),
-        next_image_callback=lambda: advance(1),
-    )
-    shutil.rmtree(folder)
-    largest = max(
-        models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None
-    )
-    if largest is None or largest.num_reg_images() < 2:
-        raise InputError(
-            f"no two of the {total} photographs in {task.images} could be oriented to each other: "
-            "they need to overlap by 60 % or more and show texture"
+        def advance(images: int) -> None:
+            nonlocal registered
+            registered = min(total, registered + images)
+            report.say(done=registered)
+
+        report.stage(stage, total, "photograph")
+        models = map_photographs(
+            database, images, task.mapper, use_priors=task.use_priors, advance=advance
         )
-    return largest
+        if not models:
+            raise InputError(
+                f"no two of the {total} photographs in {task.images} could be oriented to each "
+                "other: they need to overlap by 60 % or more and show texture"
+            )
+        for camera in models[0].cameras.values():
+            if camera.has_bogus_params(0.1, 10.0, 1.0):
+                raise InputError(
+                    f"the {task.mapper} mapper found a lens that cannot be ({camera.model_name} "
+                    f"with focal length {camera.mean_focal_length():.0f} px for a width of "
+                    f"{camera.width} px): choose another --mapper, or --camera_per folder or single"
+                )
+        return models
+
+    if not task.rigs or are_posed(task.rigs):
+        return run(database, "orienting")
+    # The cameras one by one first: their model shows how they are fixed to each other.
+    single = run(database, "orienting one by one")[0]
+    rigged = database.with_name("rigged.db")
+    shutil.copyfile(database, rigged)
+    write_rigs(rigged, task.rigs, single)
+    return run(rigged, "orienting")
 
 
-def _rescale_to_native(
-    model: pycolmap.Reconstruction, photographs: tuple[DecimatedPhotograph, ...]
-) -> None:
+def _rescale_to_native(model: pycolmap.Reconstruction, task: Task) -> None:
     """Native sizes and names: native_from_decimated is a scale by the exact ratio of the sizes."""
-    by_decimated = {photograph.decimated: photograph for photograph in photographs}
-    native_sizes: dict[int, tuple[int, int]] = {}
+    by_decimated = {photograph.decimated: photograph for photograph in task.photographs}
     for image_id in model.reg_image_ids():
         image = model.image(image_id)
         photograph = by_decimated[image.name]
-        native_sizes[image.camera_id] = (photograph.width, photograph.height)
         scale = np.array(
             [
                 photograph.width / photograph.decimated_width,
@@ -262,8 +299,19 @@ def _rescale_to_native(
         for point in image.points2D:
             point.xy = point.xy * scale
         image.name = photograph.name
-    for camera_id, size in native_sizes.items():
-        model.camera(camera_id).rescale(*size)
+    with pycolmap.Database.open(task.database) as opened:
+        camera_ids = {image.name: image.camera_id for image in opened.read_all_images()}
+    sizes = {camera_ids[p.decimated]: (p.width, p.height) for p in task.photographs}
+    # A rig has also the cameras none of whose photographs could be oriented.
+    for camera_id, camera in model.cameras.items():
+        camera.rescale(*sizes[camera_id])
+
+
+def _priors(task: Task) -> list[pycolmap.PosePrior]:
+    if not task.use_priors:
+        return []
+    with pycolmap.Database.open(task.database) as opened:
+        return list(opened.read_all_pose_priors())
 
 
 def _write(model: pycolmap.Reconstruction, folder: Path) -> None:

@@ -2,7 +2,8 @@
 
 OUT/sir.json             native images, their sub-images, what was left out
 OUT/stages.json          fingerprint of inputs and options of each stage: what makes resume safe
-OUT/sfm/                 decimated photographs, database and model of structure from motion
+OUT/sfm/                 decimated photographs, database and model of structure from motion; that model
+                         refined at native resolution
 OUT/native/              COLMAP model of the whole undistorted images (PINHOLE, native resolution)
 OUT/images/              the sub-images NAME_rRR_cCC.ext
 OUT/masks/               their masks NAME_rRR_cCC.ext.png, where the photographs have some
@@ -49,6 +50,7 @@ _UNFINISHED = re.compile(r"\..+\.(\d+)\.tmp(\.[^.]*)?", re.DOTALL)
 # patterns.
 _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
     "sparse": ("sfm",),
+    "refine": ("sfm/native", "sfm/refinement.json"),
     "cut": (
         "sir.json",
         "native",
@@ -122,7 +124,7 @@ class Workspace:
 
     @property
     def sfm_model(self) -> Path:
-        """The sparse model in native pixels (distorted cameras) that `sparse` makes."""
+        """The model of structure from motion, in native pixels (distorted cameras)."""
         return self.sfm / "sparse"
 
     @property
@@ -146,6 +148,31 @@ class Workspace:
     def sfm_left_out(self) -> Path:
         """Photographs that are not in `sfm_model`, and why; written when that stage is complete."""
         return self.sfm / "left_out.json"
+
+    @property
+    def sfm_components(self) -> Path:
+        """Names of the photographs that could be related to each other, first those of
+        `sfm_model`."""
+        return self.sfm / "components.json"
+
+    @property
+    def refined_model(self) -> Path:
+        """`sfm_model` refined at native resolution."""
+        return self.sfm / "native"
+
+    @property
+    def refinement(self) -> Path:
+        """Residuals before and after the refinement."""
+        return self.sfm / "refinement.json"
+
+    @property
+    def is_refined(self) -> bool:
+        return self.refined_model.is_dir() and self.refinement.is_file()
+
+    @property
+    def solved_model(self) -> Path:
+        """The best model of the photographs (distorted cameras) that was made here."""
+        return self.refined_model if self.is_refined else self.sfm_model
 
     @property
     def native_model(self) -> Path:

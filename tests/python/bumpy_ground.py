@@ -27,12 +27,20 @@ def camera_centres(count: int) -> NDArray[np.float64]:
     return np.stack([2.5 * s, 0.8 * s**2, 10 + 0.3 * s], axis=1)
 
 
-def photograph(centre: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """HEIGHT x WIDTH grey values that the camera at `centre` sees."""
+def towards_middle(centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    """3 x 3 rotation cam_from_world of a camera at `centre` that looks at the origin."""
     forward = -centre / np.linalg.norm(centre)
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
-    down = np.cross(forward, right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def photograph(
+    centre: NDArray[np.float64], rotation: NDArray[np.float64] | None = None
+) -> NDArray[np.uint8]:
+    """HEIGHT x WIDTH grey values that a camera at `centre` sees; `rotation` is cam_from_world,
+    towards the middle if not given."""
+    right, down, forward = towards_middle(centre) if rotation is None else rotation
     u, v = np.meshgrid(np.arange(WIDTH) + 0.5 - WIDTH / 2, np.arange(HEIGHT) + 0.5 - HEIGHT / 2)
     rays = (u[..., None] * right + v[..., None] * down) / FOCAL + forward
     depth = -centre[2] / rays[..., 2]

@@ -14,11 +14,14 @@ LAYERS = """
     native_images workspace progress
     weights
     _core
-    photographs exif ply pictures
+    photographs exif ply pictures left_out
     flight truth synthetic
-    model_files model_arrays self_calibration initial_cameras structure_from_motion sparse_model
+    model_files model_arrays initial_cameras
     feature_selection feature_tiles feature_extraction features
     patch_store tie_point_views tie_points
+    adjustment_arrays bundle_adjustment refinement_record native_refinement
+    sfm_options lens_models mapping pairing position_priors rigs self_calibration structure_from_motion
+    survey sparse_model sfm
     lens recapturing sub_image_model native_scene
     colmap_lists view_fields view_windows view_selection windows
     filtering depth_range stereo_backend stereo_passes patch_match judging dense_stereo patchmatchnet
@@ -38,7 +41,7 @@ LAYERS = """
     mesh_cutting mesh_files point_groups mesh_tiles mesh_matching mesh_joints mesh
     overview cloud_picture explaining residual_plot survey_pictures survey_report html_report
     deliverables pipeline demo plan_table
-    weights_cli features_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
+    weights_cli features_cli sfm_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 

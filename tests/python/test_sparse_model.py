@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from sirpy.errors import BudgetError, InputError
 from sirpy.progress import Progress, Steps
+from sirpy.sfm_options import SfmOptions
 from sirpy.sparse_model import SparseResult, model_identity, predicted_peak, read_model, sparse
 from sirpy.workspace import Workspace
 
+SMALL = SfmOptions(max_image_size=400)
 NAMES = ["a flight/1.jpg", "a flight/2.jpg", "a flight/3.jpg", "a flight/4.jpg"]
 
 
@@ -70,7 +72,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(photographs: Path, output: Path, recorder: Recorder) -> SparseResult:
-    return sparse(photographs, output, max_size=400, threads=2, progress=recorder)
+    return sparse(photographs, output, options=SMALL, threads=2, progress=recorder)
 
 
 def similarity_residuals(
@@ -117,6 +119,7 @@ def test_photographs_that_cannot_be_used_are_reported(
     reasons = {out.name: out.reason for out in result.left_out}
     assert sorted(reasons) == ["a flight/other.jpg", "cut.jpg"]
     assert "oriented" in reasons["a flight/other.jpg"]
+    assert result.components == [NAMES]
     for name in reasons:
         assert any(note.startswith(f"{name} is left out") for note in recorder.notes)
 
@@ -133,7 +136,7 @@ def test_the_same_again_is_not_computed_again(
     result: SparseResult, photographs: Path, output: Path
 ) -> None:
     before = {path: path.stat().st_mtime_ns for path in Workspace(output).sfm.rglob("*")}
-    again = sparse(photographs, output, max_size=400, threads=1)
+    again = sparse(photographs, output, options=SMALL, threads=1)
     assert again == result
     assert {path: path.stat().st_mtime_ns for path in Workspace(output).sfm.rglob("*")} == before
 
@@ -143,7 +146,8 @@ def test_killed_with_its_caller_and_continued_to_the_same_model(
 ) -> None:
     program = (
         "import sys; from pathlib import Path; from sirpy.sparse_model import sparse; "
-        "sparse(Path(sys.argv[1]), Path(sys.argv[2]), max_size=400)"
+        "from sirpy.sfm_options import SfmOptions; "
+        "sparse(Path(sys.argv[1]), Path(sys.argv[2]), options=SfmOptions(max_image_size=400))"
     )
     caller = subprocess.Popen([sys.executable, "-c", program, str(photographs), str(tmp_path)])
     workspace = Workspace(tmp_path)
@@ -156,7 +160,7 @@ def test_killed_with_its_caller_and_continued_to_the_same_model(
         time.sleep(0.05)
     assert not _users_of(workspace.sfm_task)
     # Other threads and memory too: neither shows in the model.
-    continued = sparse(photographs, tmp_path, max_size=400, threads=1, memory=4_000_000_000)
+    continued = sparse(photographs, tmp_path, options=SMALL, threads=1, memory=4_000_000_000)
     assert model_identity(continued.model) == model_identity(result.model)
 
 
@@ -184,7 +188,7 @@ def test_an_abort_of_the_child_is_one_sentence(
     killer.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(killer))
     with pytest.raises(InputError, match=r"signal 6: .*log\.txt says why"):
-        sparse(tmp_path / "in", tmp_path / "out", max_size=400)
+        sparse(tmp_path / "in", tmp_path / "out", options=SMALL)
 
 
 def test_one_photograph_is_not_enough(tmp_path: Path) -> None:
@@ -195,7 +199,7 @@ def test_one_photograph_is_not_enough(tmp_path: Path) -> None:
 
 def test_a_budget_that_cannot_do_says_what_can(photographs: Path, tmp_path: Path) -> None:
     with pytest.raises(BudgetError, match=r"needs 0\.\d\d GB"):
-        sparse(photographs, tmp_path, max_size=400, memory=100_000_000)
+        sparse(photographs, tmp_path, options=SMALL, memory=100_000_000)
 
 
 def test_predicted_peak_grows_with_threads_and_never_with_native_size_alone() -> None:
