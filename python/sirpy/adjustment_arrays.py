@@ -99,7 +99,7 @@ def read_network(
             point is seen twice.
     """
     image, point_id, keypoint, xy = _observations(model)
-    ids, index, counts = np.unique(point_id, return_inverse=True, return_counts=True)
+    _, index, counts = np.unique(point_id, return_inverse=True, return_counts=True)
     seen = counts[index] >= 2
     if not seen.any():
         raise InputError(
