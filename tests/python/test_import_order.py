@@ -1,8 +1,9 @@
-"""pycolmap and zlib live in one process in every order of import.
+"""pycolmap, zlib and our own Ceres live in one process in every order of import.
 
 Some wheels of pycolmap (4.1.0 to 4.2.1) corrupt the heap of a process that compresses after
 importing them; the range of versions in pyproject.toml leaves them out, and this is what notices
-when it no longer does.
+when it no longer does. pycolmap has a Ceres and a glog inside, of other versions than those that bundle
+adjustment links to.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ IMPORTS = {
     "zlib": "import zlib",
     "rasterio": "import rasterio",
     "sirpy": "import sirpy.sparse_model",
+    "adjustment": "import sirpy._adjustment",
 }
 WORK = """
 import sys, warnings, zlib
@@ -38,6 +40,19 @@ assert len(pycolmap.Camera.create_from_model_name(1, "OPENCV", 1.0, 2, 2).params
 print("sound")
 """
 
+
+ADJUST = """
+import numpy as np, pycolmap
+from sirpy.bundle_adjustment import bundle_adjust
+options = pycolmap.SyntheticDatasetOptions()
+options.num_points3D = 60
+model = pycolmap.synthesize_dataset(options)
+known = {i: np.tile(np.eye(2), (one.num_points2D(), 1, 1)) for i, one in model.images.items()}
+bundle_adjust(model, known)
+pycolmap.bundle_adjustment(model, pycolmap.BundleAdjustmentOptions(print_summary=False))
+assert bundle_adjust(model, known).sigma0 < 1e-3
+print("sound")
+"""
 
 ORDERS = [
     *itertools.permutations(("pycolmap", "zlib")),
@@ -59,5 +74,16 @@ def test_compression_works_after_imports_in_this_order(
         capture_output=True,
         text=True,
         timeout=60,
+    )
+    assert (done.returncode, done.stdout) == (0, "sound\n"), done.stderr
+
+
+@pytest.mark.parametrize(
+    "order", [*itertools.permutations(("pycolmap", "adjustment", "sirpy"))], ids="-".join
+)
+def test_both_kinds_of_ceres_work_after_imports_in_this_order(order: tuple[str, ...]) -> None:
+    program = "\n".join(IMPORTS[name] for name in order) + ADJUST
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60
     )
     assert (done.returncode, done.stdout) == (0, "sound\n"), done.stderr

@@ -1,0 +1,199 @@
+"""What refinement at native resolution found: refinement.json, which the report draws.
+
+Residuals are observed less projected, in native pixels, of the tie points that were kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from sirpy.bundle_adjustment import Adjustment
+from sirpy.files import write_json
+from sirpy.model_arrays import Floats
+
+_CELLS = 12  # along the longer side of the frame
+
+
+@dataclass(frozen=True)
+class ImageRecord:
+    """`observations` were kept, `rejected` did not fit; `unmatched` says why others were not found there.
+    `rms_before` and `rms_after`: px, with the given and with the refined cameras."""
+
+    name: str
+    camera_id: int
+    observations: int
+    rejected: int
+    unmatched: dict[str, int]
+    rms_before: float
+    rms_after: float
+
+
+@dataclass(frozen=True)
+class CameraRecord:
+    """Mean residuals (px) over the cells of the frame, row by row: what the lens model does not explain.
+    `params_before` are those of the given model."""
+
+    camera_id: int
+    model: str
+    width: int
+    height: int
+    params_before: list[float]
+    params: list[float]
+    deviations: list[float] | None
+    columns: int
+    rows: int
+    count: list[int]
+    mean_residual_before: list[list[float]]
+    mean_residual: list[list[float]]
+
+
+@dataclass(frozen=True)
+class RefinementRecord:
+    """`sigma0`: of the residuals, in units of what matching expected."""
+
+    points: int
+    observations: int
+    rms_before: float
+    rms_after: float
+    sigma0: float
+    images: list[ImageRecord]
+    cameras: list[CameraRecord]
+    version: int = 1
+
+
+def record(
+    given: pycolmap.Reconstruction,
+    adjustment: Adjustment,
+    observed: dict[int, int],
+    unmatched: dict[int, dict[str, int]],
+) -> RefinementRecord:
+    """The residuals of the same observations before and after.
+
+    Args:
+        given: the model before; its cameras are taken, with the points that fit them best.
+        observed, unmatched: by image id, tie points that were matched there, and how the others ended.
+    """
+    after = adjustment.model
+    before = _residuals(_with_cameras(after, given))
+    residuals = _residuals(after)
+    ids = sorted(after.reg_image_ids())
+    images = [
+        ImageRecord(
+            after.image(i).name,
+            after.image(i).camera_id,
+            len(residuals[i][0]),
+            observed[i] - len(residuals[i][0]),
+            unmatched[i],
+            _rms(before[i][1]),
+            _rms(residuals[i][1]),
+        )
+        for i in ids
+    ]
+    cameras = [
+        _camera(given, adjustment, camera_id, before, residuals)
+        for camera_id in sorted({image.camera_id for image in images})
+    ]
+    return RefinementRecord(
+        after.num_points3D(),
+        sum(image.observations for image in images),
+        _rms(np.concatenate([before[i][1] for i in ids])),
+        _rms(np.concatenate([residuals[i][1] for i in ids])),
+        adjustment.sigma0,
+        images,
+        cameras,
+    )
+
+
+def write_record(made: RefinementRecord, path: Path) -> None:
+    write_json(path, asdict(made))
+
+
+def _rms(residuals: Floats) -> float:
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))) if len(residuals) else 0.0
+
+
+def _residuals(model: pycolmap.Reconstruction) -> dict[int, tuple[Floats, Floats]]:
+    """(n, 2) pixels and (n, 2) residuals by image id."""
+    found = {}
+    for image_id in model.reg_image_ids():
+        image = model.image(image_id)
+        seen = [point for point in image.points2D if point.has_point3D()]
+        xy = np.array([point.xy for point in seen]).reshape(-1, 2)
+        world = np.array([model.point3D(point.point3D_id).xyz for point in seen]).reshape(-1, 3)
+        pose = image.cam_from_world().matrix()
+        in_camera = world @ pose[:, :3].T + pose[:, 3]
+        found[image_id] = (
+            xy,
+            xy - np.asarray(model.camera(image.camera_id).img_from_cam(in_camera)),
+        )
+    return found
+
+
+def _with_cameras(
+    adjusted: pycolmap.Reconstruction, given: pycolmap.Reconstruction
+) -> pycolmap.Reconstruction:
+    """The observations of `adjusted` with the cameras of `given`, and points adjusted to these."""
+    model = pycolmap.Reconstruction(adjusted)
+    config = pycolmap.BundleAdjustmentConfig()
+    for camera_id, camera in model.cameras.items():
+        camera.params = given.camera(camera_id).params
+        config.set_constant_cam_intrinsics(camera_id)
+    for rig_id, rig in model.rigs.items():
+        for sensor_id in rig.non_ref_sensors:
+            rig.set_sensor_from_rig(sensor_id, given.rig(rig_id).sensor_from_rig(sensor_id))
+            config.set_constant_sensor_from_rig_pose(sensor_id)
+    for frame_id in model.reg_frame_ids():
+        model.frame(frame_id).rig_from_world = given.frame(frame_id).rig_from_world
+        config.set_constant_rig_from_world_pose(frame_id)
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.ceres.solver_options.num_threads = 1
+    pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()
+    return model
+
+
+def _camera(
+    given: pycolmap.Reconstruction,
+    adjustment: Adjustment,
+    camera_id: int,
+    before: dict[int, tuple[Floats, Floats]],
+    after: dict[int, tuple[Floats, Floats]],
+) -> CameraRecord:
+    model = adjustment.model
+    camera = model.camera(camera_id)
+    side = max(camera.width, camera.height) / _CELLS
+    columns, rows = (max(1, round(length / side)) for length in (camera.width, camera.height))
+    own = [i for i in sorted(after) if model.image(i).camera_id == camera_id]
+    xy = np.concatenate([after[i][0] for i in own])
+    cell = np.clip(
+        xy / [camera.width, camera.height] * [columns, rows], 0, [columns - 1, rows - 1]
+    ).astype(np.int64)
+    index = cell[:, 1] * columns + cell[:, 0]
+    count = np.bincount(index, minlength=columns * rows)
+
+    def means(residuals: dict[int, tuple[Floats, Floats]]) -> list[list[float]]:
+        sums = np.zeros((columns * rows, 2))
+        np.add.at(sums, index, np.concatenate([residuals[i][1] for i in own]))
+        return (sums / np.maximum(count, 1)[:, None]).tolist()  # type: ignore[no-any-return]
+
+    deviations = adjustment.intrinsic_deviations.get(camera_id)
+    return CameraRecord(
+        camera_id,
+        camera.model.name,
+        camera.width,
+        camera.height,
+        [float(value) for value in given.camera(camera_id).params],
+        [float(value) for value in camera.params],
+        None if deviations is None else deviations.tolist(),
+        columns,
+        rows,
+        count.tolist(),
+        means(before),
+        means(after),
+    )
