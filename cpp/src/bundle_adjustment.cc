@@ -1,6 +1,7 @@
 #include "bundle_adjustment.h"
 
 #include <ceres/ceres.h>
+#include <ceres/normal_prior.h>
 #include <glog/logging.h>
 
 #include <algorithm>
@@ -70,7 +71,9 @@ void Check(const AdjustedModel& model, const Observations& observations) {
   for (const AdjustedCamera& camera : model.cameras) {
     Require(Lenses().count(camera.lens) == 1, "the lens is not among those of LensNames()");
     Require(static_cast<int>(camera.parameters.size()) == LensOf(camera).parameters &&
-                camera.free.size() == camera.parameters.size(),
+                camera.free.size() == camera.parameters.size() &&
+                camera.expected.size() == camera.parameters.size() &&
+                camera.expected_sigma.size() == camera.parameters.size(),
             "a camera has not the parameters of its lens");
   }
   const auto cameras = static_cast<int64_t>(model.cameras.size());
@@ -207,6 +210,7 @@ class Adjuster {
   void SetCameras() {
     for (size_t i = 0; i < model_.cameras.size(); ++i) {
       const std::vector<bool>& free = model_.cameras[i].free;
+      if (problem_.HasParameterBlock(unknowns_.Camera(i))) AddExpectation(i);
       std::vector<int> fixed;
       for (size_t p = 0; p < free.size(); ++p) {
         if (!free[p]) fixed.push_back(static_cast<int>(p));
@@ -220,6 +224,19 @@ class Adjuster {
         problem_.SetManifold(unknowns_.Camera(i), lens_manifolds_.back().get());
       }
     }
+  }
+
+  void AddExpectation(size_t i) {
+    const AdjustedCamera& camera = model_.cameras[i];
+    const auto count = static_cast<Eigen::Index>(camera.parameters.size());
+    ceres::Matrix weights = ceres::Matrix::Zero(count, count);
+    for (Eigen::Index p = 0; p < count; ++p) {
+      if (camera.expected_sigma[p] > 0) weights(p, p) = 1 / camera.expected_sigma[p];
+    }
+    if (weights.isZero()) return;
+    problem_.AddResidualBlock(new ceres::NormalPrior(weights, Eigen::Map<const Eigen::VectorXd>(
+                                                                  camera.expected.data(), count)),
+                              nullptr, unknowns_.Camera(i));
   }
 
   void SetPoses(bool fix_gauge) {

@@ -5,8 +5,10 @@
 // a frame without a rig is a rig of one sensor. Sensors look along +z, x right, y down. Pixels are
 // COLMAP's, the centre of the top-left pixel at (0.5, 0.5).
 //
-// The least of  sum rho(|W (observed - projected)|^2) / 2 + sum |(centre - position) / sigma|^2 /
-// 2, W^T W the inverse of an observation's covariance, rho Cauchy's.
+// What is least is half the sum of
+//   rho(|W (observed - projected)|^2), W^T W the inverse of a covariance, rho Cauchy's,
+//   |(centre - position) / sigma|^2 and
+//   |(parameter - expected) / sigma|^2.
 #pragma once
 
 #include <cstdint>
@@ -25,6 +27,9 @@ struct AdjustedCamera {
   std::string lens;  // of LensNames()
   std::vector<double> parameters;
   std::vector<bool> free;  // of each parameter
+  // What each is expected to be, and how far from it: 0 where nothing is expected.
+  std::vector<double> expected;
+  std::vector<double> expected_sigma;
 };
 
 struct AdjustedImage {
@@ -72,8 +77,9 @@ struct Adjustment {
   std::string message;  // of Ceres
   AdjustedModel model;
   // Of each camera, the standard deviations of its parameters if those of the whitened observations
-  // are 1, 0 where not free. None where the observations do not determine them, where they were not
-  // asked for, and where there are more unknowns than kMostUnknowns.
+  // are 1 and nothing is expected of them, 0 where not free. None where the observations do not
+  // determine them, where they were not asked for, and where there are more unknowns than
+  // kMostUnknowns.
   std::vector<std::vector<double>> deviations;
 
   static constexpr int kMostUnknowns = 3000;  // without points: 72 MB, some seconds

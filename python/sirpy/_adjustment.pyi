@@ -12,13 +12,16 @@ class Model:
     def __init__(
         self,
         *,
-        cameras: Sequence[tuple[str, Sequence[float], Sequence[bool]]],
+        cameras: Sequence[
+            tuple[str, Sequence[float], Sequence[bool], Sequence[float], Sequence[float]]
+        ],
         frames: NDArray[np.float64],
         sensors: NDArray[np.float64],
         images: NDArray[np.int32],
         points: NDArray[np.float64],
     ) -> None:
-        """cameras: name of the model, parameters, which of them are free; frames (n, 7): rig from
+        """cameras: name of the model, parameters, which of them are free, what they are expected to be and
+        how far from it (0: nothing is expected); frames (n, 7): rig from
         world; sensors (m, 7): sensor from rig; images (i, 3): indices of camera, frame, sensor (-1: the
         one of the frame's pose); points (p, 3)."""
 

@@ -33,8 +33,10 @@ if TYPE_CHECKING:
     from sirpy import _adjustment
 
 LOSS_SCALE = 3.0
-# Standard deviation of an accepted principal point, relative to the longest side of the photograph.
-ACCEPTED_DEVIATION = 1e-3
+# How far principal points are from where the given cameras have them, relative to the longest side of the
+# photograph. Convergent views determine them to a hundredth of that; in a strip of nadir ones, where they trade
+# against the poses, they stay.
+EXPECTED_SHIFT = 1e-2
 FEWEST_POSITIONS = 3
 
 _ROUNDS = 5
@@ -48,12 +50,12 @@ _MEDIAN = 2 * np.log(2)  # of the squared length of a whitened residual
 class Intrinsics:
     """Which parameters of the lenses are free.
 
-    `principal_point` None: of those cameras where the observations determine it, to ACCEPTED_DEVIATION of the
-    longest side.
+    A free principal point is expected where it was, within EXPECTED_SHIFT of the longest side: it goes where the
+    observations determine it.
     """
 
     focal_length: bool = True
-    principal_point: bool | None = None
+    principal_point: bool = True
     extra_params: bool = True
 
 
@@ -82,6 +84,7 @@ def bundle_adjust(
     covariances: Mapping[int, Floats],
     *,
     refine: Intrinsics | None = None,
+    expected: pycolmap.Reconstruction | None = None,
     loss_scale: float = LOSS_SCALE,
     positions: Mapping[str, tuple[Floats, Floats]] | None = None,
 ) -> Adjustment:
@@ -94,7 +97,8 @@ def bundle_adjust(
     Args:
         model: stays as it is.
         covariances: (num_points2D, 2, 2) by image id, px^2; only those of observations are read.
-        refine: by default focal lengths, distortion, and principal points where determined.
+        refine: by default all of the lenses.
+        expected: whose principal points are expected; by default the model's own.
         loss_scale: of Cauchy's loss, in standard deviations as the residuals show them.
         positions: of the cameras of images, by name: (3,) in the model's frame, and their (3,) standard
             deviations. Three or more, not on one line.
@@ -110,12 +114,10 @@ def bundle_adjust(
             "more, or none"
         )
     network, start = read_network(model, covariances, positions or {})
-    adjuster = _Adjuster(network, loss_scale)
+    adjuster = _Adjuster(network, loss_scale, expected or model)
     refine = refine or Intrinsics()
     free = [_free(camera, refine) for camera in network.cameras]
     state = adjuster.settled(_State(start, adjuster.sigma0(start, free)), free)
-    if refine.principal_point is None:
-        state = _with_principal_points(adjuster, state, free)
     unknowns = state.unknowns if positions else moved_back(network, state.unknowns, start)
     residuals = adjuster.residuals(unknowns)
     return Adjustment(
@@ -141,7 +143,9 @@ class _State:
 class _Adjuster:
     """Rounds of adjustment of one network in the C++ core."""
 
-    def __init__(self, network: Network, loss_scale: float) -> None:
+    def __init__(
+        self, network: Network, loss_scale: float, expected: pycolmap.Reconstruction
+    ) -> None:
         # Ceres and what it needs are loaded where they are used.
         from sirpy import _adjustment
 
@@ -157,6 +161,7 @@ class _Adjuster:
         self._core = _adjustment
         self._network = network
         self._loss_scale = loss_scale
+        self._expected = [expected.camera(one.camera_id) for one in network.cameras]
         self._observations = _adjustment.Observations(
             image=network.image,
             point=network.point,
@@ -181,6 +186,7 @@ class _Adjuster:
             state = self._round(state, free)
             if not before > _SETTLED * max(state.sigma0, _EXACT):
                 break
+        state = self._round(state, free, deviations=True)
         for camera, parameters in zip(
             self._network.cameras, state.unknowns.parameters, strict=True
         ):
@@ -193,14 +199,14 @@ class _Adjuster:
                 )
         return state
 
-    def _round(self, state: _State, free: Free) -> _State:
+    def _round(self, state: _State, free: Free, *, deviations: bool = False) -> _State:
         sigma0 = max(state.sigma0, _EXACT) if np.isfinite(state.sigma0) else 1.0
         usable, message, cameras, frames, sensors, points = self._core.adjust(
             self._model(state.unknowns, free),
             self._observations,
             self._positions,
             loss_scale=self._loss_scale * sigma0,
-            deviations=True,
+            deviations=deviations,
         )
         if not usable:
             raise SirpyError(
@@ -210,8 +216,8 @@ class _Adjuster:
         parameters = tuple(np.array(one) for one, _ in cameras)
         unknowns = Unknowns(parameters, frames, sensors, points)
         sigma0 = self.sigma0(unknowns, free)
-        deviations = (None if one is None else np.array(one) * sigma0 for _, one in cameras)
-        return _State(unknowns, sigma0, tuple(deviations))
+        known = (None if one is None else np.array(one) * sigma0 for _, one in cameras)
+        return _State(unknowns, sigma0, tuple(known))
 
     def residuals(self, unknowns: Unknowns) -> Floats:
         """(o, 2), observed less projected, px."""
@@ -241,9 +247,9 @@ class _Adjuster:
     def _model(self, unknowns: Unknowns, free: Free) -> _adjustment.Model:
         return self._core.Model(
             cameras=[
-                (camera.model_name, parameters.tolist(), mask.tolist())
-                for camera, parameters, mask in zip(
-                    self._network.cameras, unknowns.parameters, free, strict=True
+                (expected.model_name, one.tolist(), mask.tolist(), *_expectation(expected, mask))
+                for expected, one, mask in zip(
+                    self._expected, unknowns.parameters, free, strict=True
                 )
             ],
             frames=unknowns.frames,
@@ -261,33 +267,14 @@ def _free(camera: pycolmap.Camera, refine: Intrinsics) -> NDArray[np.bool_]:
     return free
 
 
-def _with_principal_points(adjuster: _Adjuster, held: _State, free: Free) -> _State:
-    """After `held`: with the principal points that are determined, of all cameras or those that
-    pass when all are free."""
-    cameras = adjuster._network.cameras
-    accepted = set(range(len(cameras)))
-    while accepted:
-        masks = [mask.copy() for mask in free]
-        for index in accepted:
-            masks[index][list(cameras[index].principal_point_idxs())] = True
-        try:
-            state = adjuster.settled(held, masks)
-        except SirpyError:
-            return held
-        passed = {
-            index for index in accepted if _is_determined(cameras[index], state.deviations[index])
-        }
-        if passed == accepted:
-            return state
-        accepted = passed
-    return held
-
-
-def _is_determined(camera: pycolmap.Camera, deviations: Floats | None) -> bool:
-    if deviations is None:
-        return False
-    deviation = float(deviations[list(camera.principal_point_idxs())].max())
-    return deviation <= ACCEPTED_DEVIATION * max(camera.width, camera.height)
+def _expectation(
+    camera: pycolmap.Camera, free: NDArray[np.bool_]
+) -> tuple[list[float], list[float]]:
+    """Values of the parameters and how far from them they are expected, 0 of those that may be anything."""
+    sigma = np.zeros(len(free))
+    points = list(camera.principal_point_idxs())
+    sigma[points] = free[points] * EXPECTED_SHIFT * max(camera.width, camera.height)
+    return [float(value) for value in camera.params], sigma.tolist()
 
 
 def _by_image(

@@ -146,7 +146,7 @@ def _adjusted(
         left_out += weak
         if not wrong and not pairs and not weak:
             break
-        adjustment = bundle_adjust(model, covariances, refine=intrinsics)
+        adjustment = bundle_adjust(model, covariances, refine=intrinsics, expected=measured)
     adjustment.model.update_point_3d_errors()
     return adjustment
 

@@ -129,7 +129,6 @@ def refine_cameras(
 
         refine(
             *(images, solved, workspace.refined_model),
-            memory=memory,
             threads=threads or os.cpu_count() or 1,
             progress=progress,
         )

@@ -64,7 +64,11 @@ Scene MakeScene() {
   };
   Scene scene;
   AdjustedModel& model = scene.model;
-  model.cameras.push_back({"SIMPLE_RADIAL", {900, 500, 400, -0.05}, {true, false, false, true}});
+  model.cameras.push_back({"SIMPLE_RADIAL",
+                           {900, 500, 400, -0.05},
+                           {true, false, false, true},
+                           {0, 0, 0, 0},
+                           {0, 0, 0, 0}});
   const int frames = 8, points = 60;
   model.frames.resize(frames, 7);
   model.sensors.resize(0, 7);

@@ -32,14 +32,16 @@ std::vector<int32_t> ToIndices(const Array<int32_t>& array, const char* name) {
   return {array.data(), array.data() + array.shape(0)};
 }
 
-using Camera = std::tuple<std::string, std::vector<double>, std::vector<bool>>;
+// Lens, parameters, which are free, what they are expected to be, and how far from it.
+using Camera = std::tuple<std::string, std::vector<double>, std::vector<bool>, std::vector<double>,
+                          std::vector<double>>;
 
 AdjustedModel MakeModel(const std::vector<Camera>& cameras, const Array<double>& frames,
                         const Array<double>& sensors, const Array<int32_t>& images,
                         const Array<double>& points) {
   AdjustedModel model;
-  for (const auto& [lens, parameters, free] : cameras) {
-    model.cameras.push_back({lens, parameters, free});
+  for (const auto& [lens, parameters, free, expected, sigma] : cameras) {
+    model.cameras.push_back({lens, parameters, free, expected, sigma});
   }
   model.frames = ToRows<7>(frames, "frames");
   model.sensors = ToRows<7>(sensors, "sensors");
