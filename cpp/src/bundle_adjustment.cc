@@ -17,10 +17,8 @@
 namespace sirpy {
 namespace {
 
-// Above these, the reduced equations of the frames are solved as sparse ones, then by conjugate
-// gradients. Measured on flights: dense ones take longer from some 150 frames on.
-constexpr int64_t kMostDenseFrames = 150;
-constexpr int64_t kMostDirectFrames = 3000;
+// With more of them, the reduced equations of the frames are solved as sparse ones.
+constexpr int64_t kMostDenseFrames = 50;
 
 using PoseManifold =
     ceres::ProductManifold<ceres::EigenQuaternionManifold, ceres::EuclideanManifold<3>>;
@@ -268,11 +266,8 @@ class Adjuster {
 
   ceres::Solver::Options SolverOptions() {
     ceres::Solver::Options options;
-    const int64_t frames = model_.frames.rows();
-    options.linear_solver_type = frames <= kMostDenseFrames    ? ceres::DENSE_SCHUR
-                                 : frames <= kMostDirectFrames ? ceres::SPARSE_SCHUR
-                                                               : ceres::ITERATIVE_SCHUR;
-    options.preconditioner_type = ceres::SCHUR_JACOBI;
+    options.linear_solver_type =
+        model_.frames.rows() <= kMostDenseFrames ? ceres::DENSE_SCHUR : ceres::SPARSE_SCHUR;
     // Without BLAS, of which machines have several kinds: the same bytes on all of them.
     options.dense_linear_algebra_library_type = ceres::EIGEN;
     options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;

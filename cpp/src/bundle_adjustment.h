@@ -38,7 +38,7 @@ struct AdjustedImage {
   int32_t sensor = -1;  // -1: the one that its rig's frame is that of
 };
 
-// What is adjusted. Memory while it is: about 1.4 kB per observation, and
+// What is adjusted. Memory while it is: about 1 kB per observation, and
 // (6 frames)^2 * 8 bytes where the reduced equations are dense.
 struct AdjustedModel {
   std::vector<AdjustedCamera> cameras;

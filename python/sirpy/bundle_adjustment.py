@@ -4,7 +4,7 @@ One camera and one pose per native image; of a rig one pose per frame and one pe
 as wide as the residuals themselves say: it narrows as the cameras get better, so that rough cameras do not
 make outliers of good observations, nor covariances that are too small.
 
-Memory: about 1.4 kB per observation. One thread: Ceres sums in another order on several, and the same input
+Memory: about 1 kB per observation. One thread: Ceres sums in another order on several, and the same input
 gives the same bytes.
 """
 
