@@ -148,6 +148,11 @@ class Workspace:
         return self.sfm / "left_out.json"
 
     @property
+    def refinement(self) -> Path:
+        """Residuals before and after the refinement."""
+        return self.sfm / "refinement.json"
+
+    @property
     def native_model(self) -> Path:
         return self.folder / "native"
 
