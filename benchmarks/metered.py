@@ -38,15 +38,21 @@ def main() -> None:
     print(json.dumps(cost))
 
 
+def measured(*words: object) -> Cost:
+    """Runs a command; what it prints goes to standard error."""
+    command = [sys.executable, __file__, *map(str, words)]
+    printed = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+    cost: Cost = json.loads(printed)
+    return cost
+
+
 def run_sirpy(*words: object) -> Cost:
     """Runs `sirpy WORDS` as a user would. Ends the program where the command fails.
 
-    A reconstruction of status 2 may have a result all the same, without some photographs.
+    What makes a model of photographs may end with status 2 and have a result all the same, without some of them.
     """
-    command = [sys.executable, __file__, sys.executable, "-m", "sirpy", *map(str, words)]
-    printed = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
-    cost: Cost = json.loads(printed)
-    if cost["status"] not in ((0, 2) if words[0] == "reconstruct" else (0,)):
+    cost = measured(sys.executable, "-m", "sirpy", *words)
+    if cost["status"] not in ((0, 2) if words[0] in ("reconstruct", "sfm") else (0,)):
         sys.exit(f"sirpy {words[0]} ended with status {cost['status']}")
     return cost
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sirpy import overview
+from sirpy.camera_report import camera_section
 from sirpy.cloud_picture import draw_cloud, mean_view
 from sirpy.dense_stereo import count_reasons
 from sirpy.files import read_json, written_whole
@@ -55,6 +56,7 @@ def report(workspace: Workspace) -> Path:
         _evaluation(run.get("evaluation")),
         _cloud(workspace),
         *survey_sections(workspace),
+        camera_section(workspace),
         _grid(workspace),
         _depths(workspace),
         _coverage(reasons),

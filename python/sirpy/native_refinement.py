@@ -33,11 +33,10 @@ _ENOUGH = 50
 
 @dataclass(frozen=True)
 class Refinement:
-    """`model`: folder of the refined COLMAP model; `left_out`: photographs that are no longer in it."""
+    """`model`: folder of the refined COLMAP model."""
 
     model: Path
     record: RefinementRecord
-    left_out: list[LeftOut]
 
 
 def refine(
@@ -76,11 +75,11 @@ def refine(
         steps.advance()
     for out in left_out[len(tie.left_out) :]:
         progress.note(f"{out.name} is left out: {out.reason}")
-    made = record(given, adjustment, observed, _rejections(arrays, tie))
+    made = record(given, adjustment, observed, _rejections(arrays, tie), left_out)
     with folder_written_whole(output) as folder:
         adjustment.model.write_binary(folder)
     write_record(made, output.with_name("refinement.json"))
-    return Refinement(output, made, left_out)
+    return Refinement(output, made)
 
 
 def _with_tie_points(

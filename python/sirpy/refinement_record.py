@@ -12,8 +12,9 @@ import numpy as np
 import pycolmap
 
 from sirpy.bundle_adjustment import Adjustment
-from sirpy.files import write_json
+from sirpy.files import read_json, write_json
 from sirpy.model_arrays import Floats
+from sirpy.native_images import LeftOut
 
 _CELLS = 12  # along the longer side of the frame
 
@@ -53,7 +54,8 @@ class CameraRecord:
 
 @dataclass(frozen=True)
 class RefinementRecord:
-    """`sigma0`: of the residuals, in units of what matching expected."""
+    """`sigma0`: of the residuals, in units of what matching expected; `left_out`: photographs of the given model
+    that are not in the refined one."""
 
     points: int
     observations: int
@@ -62,6 +64,7 @@ class RefinementRecord:
     sigma0: float
     images: list[ImageRecord]
     cameras: list[CameraRecord]
+    left_out: list[LeftOut]
     version: int = 1
 
 
@@ -70,6 +73,7 @@ def record(
     adjustment: Adjustment,
     observed: dict[int, int],
     unmatched: dict[int, dict[str, int]],
+    left_out: list[LeftOut],
 ) -> RefinementRecord:
     """The residuals of the same observations before and after.
 
@@ -105,11 +109,21 @@ def record(
         adjustment.sigma0,
         images,
         cameras,
+        left_out,
     )
 
 
 def write_record(made: RefinementRecord, path: Path) -> None:
     write_json(path, asdict(made))
+
+
+def read_left_out(path: Path) -> list[LeftOut]:
+    """Of the record in a file. Raises InputError where it is damaged."""
+    return read_json(
+        path,
+        lambda made: [LeftOut(str(one["name"]), str(one["reason"])) for one in made["left_out"]],
+        "delete it and run again",
+    )
 
 
 def _rms(residuals: Floats) -> float:

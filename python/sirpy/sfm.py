@@ -18,6 +18,7 @@ from sirpy.files import fingerprint, folder_written_whole
 from sirpy.model_files import MODEL_FILES, model_identity
 from sirpy.native_images import LeftOut
 from sirpy.progress import Progress
+from sirpy.refinement_record import read_left_out
 from sirpy.sfm_options import SfmOptions
 from sirpy.sparse_model import sparse
 from sirpy.workspace import Workspace, check_writable
@@ -132,6 +133,9 @@ def refine_cameras(
             threads=threads or os.cpu_count() or 1,
             progress=progress,
         )
+    left_out = sorted(
+        [*left_out, *read_left_out(workspace.refinement)], key=lambda out: out.name
+    )
     return SfmResult(workspace.refined_model, left_out, components, workspace.refinement)
 
 

@@ -39,7 +39,7 @@ LAYERS = """
     laz point_selection cloud_files tiles3d tiles3d_worker
     lattice block_store raster_files surface_model best_views orthophoto
     mesh_cutting mesh_files point_groups mesh_tiles mesh_matching mesh_joints mesh
-    overview cloud_picture explaining residual_plot survey_pictures survey_report html_report
+    overview cloud_picture explaining residual_plot camera_report survey_pictures survey_report html_report
     deliverables pipeline demo plan_table
     weights_cli features_cli sfm_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
 """
