@@ -70,11 +70,14 @@ def refine(
         measured = _with_tie_points(given, arrays, tie)
         covariances = _by_image(arrays, tie)
         observed = {i: len(values) for i, values in covariances.items()}
-        left_out = [*tie.left_out, *_remove_weak(measured)]
-        adjustment = _adjusted(measured, covariances, intrinsics or Intrinsics(), left_out)
+        weak = _remove_weak(measured)
+        adjustment = _adjusted(measured, covariances, intrinsics or Intrinsics(), weak)
         steps.advance()
-    for out in left_out[len(tie.left_out) :]:
+    unread = {out.name for out in tie.left_out}
+    weak = [out for out in weak if out.name not in unread]
+    for out in weak:
         progress.note(f"{out.name} is left out: {out.reason}")
+    left_out = [*tie.left_out, *weak]
     made = record(given, adjustment, observed, _rejections(arrays, tie), left_out)
     with folder_written_whole(output) as folder:
         adjustment.model.write_binary(folder)
@@ -131,7 +134,8 @@ def _adjusted(
     intrinsics: Intrinsics,
     left_out: list[LeftOut],
 ) -> Adjustment:
-    """Adjusts, and again without the observations that do not fit, until all do."""
+    """Adjusts, and again without the observations that do not fit, until all do; photographs that then have too
+    few join `left_out`."""
     adjustment = bundle_adjust(measured, covariances, refine=intrinsics)
     for _ in range(_ROUNDS):
         model = adjustment.model

@@ -133,9 +133,7 @@ def refine_cameras(
             threads=threads or os.cpu_count() or 1,
             progress=progress,
         )
-    left_out = sorted(
-        [*left_out, *read_left_out(workspace.refinement)], key=lambda out: out.name
-    )
+    left_out = sorted([*left_out, *read_left_out(workspace.refinement)], key=lambda out: out.name)
     return SfmResult(workspace.refined_model, left_out, components, workspace.refinement)
 
 

@@ -52,13 +52,15 @@ def refined(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
     def refine(_: Path, model: Path, output: Path, **options: object) -> None:
         calls.append(model)
-        assert options.keys() == {"memory", "threads", "progress"}
+        assert options.keys() == {"threads", "progress"}
         moved = pycolmap.Reconstruction(model)
         for camera in moved.cameras.values():
             camera.params = np.array([123.0, 123.0, *camera.params[2:]])
         output.mkdir(exist_ok=True)
         moved.write_binary(output)
-        (output.parent / "refinement.json").write_text("{}")
+        (output.parent / "refinement.json").write_text(
+            '{"left_out": [{"name": "9.jpg", "reason": "too few tie points"}]}'
+        )
 
     stand_in = ModuleType("sirpy.native_refinement")
     stand_in.refine = refine  # type: ignore[attr-defined]
@@ -91,6 +93,7 @@ def test_refinement_comes_and_goes_without_another_structure_from_motion(
         ["1.jpg", "2.jpg", "3.jpg"]
     ]
     assert workspace.solved_model == workspace.refined_model
+    assert [out.name for out in result.left_out] == ["9.jpg"]
     assert sfm(photographs, copy, options=SMALL) == result
     assert len(refined) == 1
     # A refinement that was killed is done again.

@@ -1,0 +1,165 @@
+"""Refinement at native resolution: rough cameras become those that took the photographs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from camera_errors import judge
+from PIL import Image
+from sirpy.errors import InputError
+from sirpy.model_arrays import read_arrays
+from sirpy.model_files import model_identity
+from sirpy.native_refinement import Refinement, refine
+from sirpy.refinement_record import read_left_out
+from sirpy.synthetic import render_scene
+
+NOISE = 1.0  # px of the rough observations: those of photographs decimated three times or so
+
+
+def rough(exact: Path, folder: Path) -> Path:
+    """The cameras that observations with NOISE give."""
+    model = pycolmap.Reconstruction(exact)
+    random = np.random.default_rng(5)
+    for image_id in sorted(model.reg_image_ids()):
+        for point in model.image(image_id).points2D:
+            point.xy = point.xy + random.normal(0, NOISE, 2)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.ceres.solver_options.num_threads = 1
+    pycolmap.bundle_adjustment(model, options)
+    model.update_point_3d_errors()
+    folder.mkdir()
+    model.write_binary(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """images/, sparse/ (exact) and rough/."""
+    folder = tmp_path_factory.mktemp("scene")
+    render_scene(folder, image_count=6, size=(720, 480), camera_model="OPENCV", seed=4)
+    rough(folder / "sparse", folder / "rough")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def refined(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Refinement:
+    output = tmp_path_factory.mktemp("refined") / "model"
+    return refine(scene / "images", scene / "rough", output, threads=2)
+
+
+def errors(model: Path, scene: Path) -> dict[str, float]:
+    found = judge(read_arrays(model), read_arrays(scene / "sparse"))
+    return {
+        "consistency": found["consistency_px"]["rms"],
+        "points": found["by_points"]["reprojection_px"]["rms"],
+        "centres": found["by_points"]["centres"]["rms"],
+    }
+
+
+def test_cameras_are_several_times_better_than_those_of_rough_observations(
+    scene: Path, refined: Refinement
+) -> None:
+    before, after = errors(scene / "rough", scene), errors(refined.model, scene)
+    for name in before:
+        assert after[name] < before[name] / 3, (name, before, after)
+    assert after["consistency"] < 0.1
+    assert not refined.record.left_out
+
+
+def test_the_record_says_what_was_found(scene: Path, refined: Refinement) -> None:
+    record = refined.record
+    on_disk = json.loads(refined.model.with_name("refinement.json").read_text(encoding="utf-8"))
+    assert on_disk["rms_after"] == record.rms_after
+    assert record.rms_after < min(0.1, record.rms_before)
+    model = pycolmap.Reconstruction(refined.model)
+    assert record.points == model.num_points3D()
+    assert record.observations == model.compute_num_observations()
+    assert [image.name for image in record.images] == sorted(
+        p.name for p in (scene / "images").iterdir()
+    )
+    (camera,) = record.cameras
+    assert sum(camera.count) == record.observations
+    assert len(camera.mean_residual) == camera.columns * camera.rows == len(camera.count)
+    exact = next(iter(pycolmap.Reconstruction(scene / "sparse").cameras.values()))
+    assert camera.deviations is not None
+    # The focal length is known as well as is said, within what relief does to tie points.
+    assert abs(camera.params[0] - exact.params[0]) < 10 * camera.deviations[0] + 0.5
+
+
+def test_the_same_bytes_for_any_number_of_threads(
+    scene: Path, refined: Refinement, tmp_path: Path
+) -> None:
+    again = refine(scene / "images", scene / "rough", tmp_path / "model", threads=1)
+    assert model_identity(again.model) == model_identity(refined.model)
+    assert again.record == refined.record
+
+
+def test_other_exposures_and_moved_cars_do_not_matter(scene: Path, tmp_path: Path) -> None:
+    """One photograph darker, one with squares of its ground exchanged: what moved is rejected."""
+    images = tmp_path / "images"
+    shutil.copytree(scene / "images", images)
+    first, second, *_ = sorted(images.iterdir())
+    dark = np.asarray(Image.open(first)).astype(float) * 0.55 + 12
+    Image.fromarray(dark.astype(np.uint8)).save(first, quality=97)
+    moved = np.array(Image.open(second))
+    for y in range(40, 400, 90):  # each car is now 6 px further
+        for x in range(40, 640, 90):
+            moved[y : y + 24, x + 6 : x + 30] = moved[y : y + 24, x : x + 24].copy()
+    Image.fromarray(moved).save(second, quality=97)
+    made = refine(images, scene / "rough", tmp_path / "model", threads=2)
+    found = errors(made.model, scene)
+    assert found["consistency"] < 0.12, found
+    assert len(made.record.images) == 6
+
+
+def test_a_damaged_photograph_is_left_out_and_named(scene: Path, tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    shutil.copytree(scene / "images", images)
+    first, second, *_ = sorted(images.iterdir())
+    first.write_bytes(first.read_bytes()[:3000])
+    Image.open(second).rotate(90, expand=True).save(second)
+    made = refine(images, scene / "rough", tmp_path / "model", threads=2)
+    left_out = {out.name: out.reason for out in made.record.left_out}
+    assert left_out.keys() == {first.name, second.name}
+    assert "has 480x720 pixels, but its camera in the model 720x480" in left_out[second.name]
+    assert read_left_out(tmp_path / "refinement.json") == made.record.left_out
+    names = {image.name for image in pycolmap.Reconstruction(made.model).images.values()}
+    assert names == {path.name for path in images.iterdir()} - left_out.keys()
+
+
+def test_photographs_of_something_else_are_refused(scene: Path, tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    images.mkdir()
+    random = np.random.default_rng(1)
+    for path in (scene / "images").iterdir():
+        noise = random.integers(0, 255, (480, 720, 3), np.uint8)
+        Image.fromarray(noise).save(images / path.name)
+    with pytest.raises(InputError, match="are these the photographs that it was made of"):
+        refine(images, scene / "rough", tmp_path / "model", threads=2)
+    assert not (tmp_path / "model").exists() and not (tmp_path / "refinement.json").exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_sixteen_bit_photographs_serve_too(scene: Path, tmp_path: Path) -> None:
+    import rasterio
+
+    images = tmp_path / "images"
+    images.mkdir()
+    model = pycolmap.Reconstruction(scene / "rough")
+    for image in model.images.values():
+        pixels = np.asarray(Image.open(scene / "images" / image.name)).astype(np.uint16) * 16
+        image.name = f"{Path(image.name).stem}.tif"
+        with rasterio.open(
+            images / image.name, "w", driver="GTiff", width=720, height=480, count=3, dtype="uint16"
+        ) as raster:
+            raster.write(np.moveaxis(pixels, 2, 0))
+    (tmp_path / "rough").mkdir()
+    model.write_binary(tmp_path / "rough")
+    made = refine(images, tmp_path / "rough", tmp_path / "model", threads=2)
+    assert made.record.rms_after < 0.2
