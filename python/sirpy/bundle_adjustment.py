@@ -168,12 +168,6 @@ class _Adjuster:
             xy=network.xy,
             whitening=network.whitening.reshape(-1, 4),
         )
-        known = network.positions
-        self._positions = _adjustment.Positions(
-            image=np.array(list(known), np.int32),
-            centre=np.array([xyz for xyz, _ in known.values()]).reshape(-1, 3),
-            sigma=np.array([sigma for _, sigma in known.values()]).reshape(-1, 3),
-        )
 
     def settled(self, state: _State, free: Free) -> _State:
         """After rounds of adjustment, until the loss is as wide as the residuals are.
@@ -201,10 +195,11 @@ class _Adjuster:
 
     def _round(self, state: _State, free: Free, *, deviations: bool = False) -> _State:
         sigma0 = max(state.sigma0, _EXACT) if np.isfinite(state.sigma0) else 1.0
+        # Observations are as good as they have shown to be, beside what is known from elsewhere.
         usable, message, cameras, frames, sensors, points = self._core.adjust(
-            self._model(state.unknowns, free),
+            self._model(state.unknowns, free, sigma0),
             self._observations,
-            self._positions,
+            self._positions(sigma0),
             loss_scale=self._loss_scale * sigma0,
             deviations=deviations,
         )
@@ -222,7 +217,7 @@ class _Adjuster:
     def residuals(self, unknowns: Unknowns) -> Floats:
         """(o, 2), observed less projected, px."""
         held = [np.zeros(len(one), bool) for one in unknowns.parameters]
-        return self._core.residuals(self._model(unknowns, held), self._observations)
+        return self._core.residuals(self._model(unknowns, held, 1.0), self._observations)
 
     def sigma0(self, unknowns: Unknowns, free: Free) -> float:
         """Of the observations that fit; NaN without redundancy."""
@@ -244,18 +239,29 @@ class _Adjuster:
                 break
         return float(np.sqrt(variance))
 
-    def _model(self, unknowns: Unknowns, free: Free) -> _adjustment.Model:
+    def _model(self, unknowns: Unknowns, free: Free, sigma0: float) -> _adjustment.Model:
         return self._core.Model(
             cameras=[
-                (expected.model_name, one.tolist(), mask.tolist(), *_expectation(expected, mask))
-                for expected, one, mask in zip(
-                    self._expected, unknowns.parameters, free, strict=True
+                (
+                    camera.model_name,
+                    one.tolist(),
+                    mask.tolist(),
+                    *_expectation(camera, mask, sigma0),
                 )
+                for camera, one, mask in zip(self._expected, unknowns.parameters, free, strict=True)
             ],
             frames=unknowns.frames,
             sensors=unknowns.sensors,
             images=self._network.images,
             points=unknowns.points,
+        )
+
+    def _positions(self, sigma0: float) -> _adjustment.Positions:
+        known = self._network.positions
+        return self._core.Positions(
+            image=np.array(list(known), np.int32),
+            centre=np.array([xyz for xyz, _ in known.values()]).reshape(-1, 3),
+            sigma=np.array([sigma / sigma0 for _, sigma in known.values()]).reshape(-1, 3),
         )
 
 
@@ -268,12 +274,15 @@ def _free(camera: pycolmap.Camera, refine: Intrinsics) -> NDArray[np.bool_]:
 
 
 def _expectation(
-    camera: pycolmap.Camera, free: NDArray[np.bool_]
+    camera: pycolmap.Camera, free: NDArray[np.bool_], sigma0: float
 ) -> tuple[list[float], list[float]]:
-    """Values of the parameters and how far from them they are expected, 0 of those that may be anything."""
+    """Values of the parameters and how far from them they are expected, 0 of those that may be anything.
+
+    The distances are relative to observations whose standard deviation is sigma0 times what is said of them.
+    """
     sigma = np.zeros(len(free))
     points = list(camera.principal_point_idxs())
-    sigma[points] = free[points] * EXPECTED_SHIFT * max(camera.width, camera.height)
+    sigma[points] = free[points] * EXPECTED_SHIFT * max(camera.width, camera.height) / sigma0
     return [float(value) for value in camera.params], sigma.tolist()
 
 

@@ -136,10 +136,10 @@ def test_a_lens_projects_as_colmap_does(lens: str) -> None:
     points = np.random.default_rng(0).uniform([-0.6, -0.5, 0.8], [0.6, 0.5, 1.5], (200, 3))
     points[0] = [0, 0, 1]
     points[1] = [1e-7, -1e-7, 1]
-    count = len(points)
+    count, parameters = len(points), len(camera.params)
     projected = -_adjustment.residuals(
         _adjustment.Model(
-            cameras=[(lens, camera.params.tolist(), [True] * len(camera.params))],
+            cameras=[(lens, camera.params, [True] * parameters, camera.params, [0.0] * parameters)],
             frames=np.array([[0.0, 0, 0, 1, 0, 0, 0]]),
             sensors=np.empty((0, 7)),
             images=np.zeros((1, 3), np.int32) - np.array([0, 0, 1], np.int32),
@@ -159,7 +159,7 @@ def test_a_lens_projects_as_colmap_does(lens: str) -> None:
 def test_exact_observations_give_the_exact_cameras(lens: str) -> None:
     truth = true_model(lens)
     start = disturbed(truth)
-    start.camera(1).params = start.camera(1).params * [1.01] * len(start.camera(1).params)
+    start.camera(1).params = start.camera(1).params * 1.01
     refine = Intrinsics(extra_params=lens != "FULL_OPENCV", principal_point=True)
     if lens == "FULL_OPENCV":  # its terms stand for each other: exact pixels, not exact terms
         start.camera(1).params = truth.camera(1).params
@@ -232,12 +232,18 @@ def test_a_few_gross_errors_do_not_move_the_cameras() -> None:
 
 
 def test_covariances_that_are_all_too_small_change_nothing_but_sigma0() -> None:
+    """Nor do they change what the expected principal point and the known positions weigh."""
     model, known = noisy()
-    refine = Intrinsics(principal_point=False)
-    right = bundle_adjust(model, known, refine=refine)
-    small = bundle_adjust(model, {i: one / 100 for i, one in known.items()}, refine=refine)
+    positions = {
+        image.name: (image.projection_center(), np.full(3, 1e-3)) for image in model.images.values()
+    }
+    right = bundle_adjust(model, known, positions=positions)
+    overrated = {i: one / 100 for i, one in known.items()}
+    small = bundle_adjust(model, overrated, positions=positions)
     assert small.sigma0 == pytest.approx(10 * right.sigma0, rel=0.02)
     assert centre_error(small.model, right.model) < 2e-4
+    shift = small.model.camera(1).params - right.model.camera(1).params
+    assert np.abs(shift).max() < 0.02
 
 
 def test_a_rig_has_one_pose_per_frame_and_one_per_sensor() -> None:
@@ -311,7 +317,7 @@ def test_positions_give_the_frame() -> None:
 
 
 @pytest.mark.parametrize("determined", [True, False], ids=["ring", "strip"])
-def test_the_principal_point_is_freed_where_it_is_determined(determined: bool) -> None:
+def test_the_principal_point_goes_where_it_is_determined(determined: bool) -> None:
     truth = true_model()
     if not determined:
         model = pycolmap.Reconstruction()
@@ -334,7 +340,6 @@ def test_the_principal_point_is_freed_where_it_is_determined(determined: bool) -
     done = bundle_adjust(truth, covariances(truth, 0.09 * UNIT))
     found = done.model.camera(1).params[1:3]
     assert found == pytest.approx(right[1:3] if determined else centred[1:3], abs=1.0)
-    assert determined or (found == centred[1:3]).all()
 
 
 def test_points_that_are_seen_once_are_left_out_and_the_model_given_stays() -> None:
