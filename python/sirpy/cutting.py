@@ -20,6 +20,7 @@ from sirpy.cut_tasks import (
 from sirpy.errors import InputError, first_few
 from sirpy.files import file_identity, fingerprint
 from sirpy.layout import Layout, Region
+from sirpy.left_out import leave_out
 from sirpy.lens import Undistortion, UndistortOptions, undistortion
 from sirpy.model_arrays import SparseModel, read_arrays, write_model
 from sirpy.model_files import find_model, model_identity
@@ -173,7 +174,8 @@ def _cut_photographs(
     progress: Progress,
 ) -> tuple[list[NativeImage], list[LeftOut]]:
     """The natives that were cut, now or by an earlier run, and the photographs that are damaged."""
-    natives, damaged = [], []
+    natives: list[NativeImage] = []
+    damaged: list[LeftOut] = []
     lens: tuple[int, Undistortion] | None = None
     with progress.stage("cut", len(tasks), "photograph") as steps:
         for task in tasks:
@@ -187,8 +189,7 @@ def _cut_photographs(
             except InputError as error:
                 for path in _paths(task.native, workspace):
                     path.unlink(missing_ok=True)
-                damaged.append(LeftOut(task.native.name, str(error)))
-                progress.note(f"{task.native.name} is left out: {error}")
+                leave_out(task.native.name, str(error), damaged, progress)
             steps.advance()
     return natives, damaged
 

@@ -11,17 +11,15 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from sirpy.child_process import serve
+from sirpy.child_process import Caller, begin
 from sirpy.errors import InputError
 from sirpy.feature_selection import Features, spread
 from sirpy.feature_tiles import FeatureTile, feature_tiles
@@ -77,16 +75,7 @@ class FeatureTask:
         return feature_tiles(photograph.width, photograph.height, self.side, self.first_octave)
 
 
-class _Pipe:
-    def __init__(self, descriptor: int) -> None:
-        self._pipe = os.fdopen(descriptor, "w", encoding="utf-8")
-
-    def say(self, **message: Any) -> None:
-        self._pipe.write(json.dumps(message) + "\n")
-        self._pipe.flush()
-
-
-def extract(task: FeatureTask, pipe: _Pipe) -> None:
+def extract(task: FeatureTask, caller: Caller) -> None:
     """Adds the photographs that are not yet in the database, each in one transaction."""
     database, tiles = Path(task.database), Path(task.scratch) / "tiles"
     if not database.exists():
@@ -94,7 +83,7 @@ def extract(task: FeatureTask, pipe: _Pipe) -> None:
     with pycolmap.Database.open(database) as opened:
         waiting = [one for one in task.photographs if not opened.exists_image(one.name)]
     done = len(task.photographs) - len(waiting)
-    pipe.say(done=done)
+    caller.say(done=done)
     for batch in _batches(task, waiting):
         shutil.rmtree(tiles, ignore_errors=True)
         cut = []
@@ -103,16 +92,16 @@ def extract(task: FeatureTask, pipe: _Pipe) -> None:
                 _cut(task, photograph, tiles)
                 cut.append(photograph)
             except InputError as error:
-                pipe.say(left_out=photograph.name, reason=str(error))
+                caller.say(left_out=photograph.name, reason=str(error))
         if cut:
             _find(task, tiles)
         for photograph in cut:
             _store(task, photograph, _selected(task, photograph, tiles))
         give_back()
         done += len(batch)
-        pipe.say(done=done)
+        caller.say(done=done)
     shutil.rmtree(tiles, ignore_errors=True)
-    pipe.say(finished=True)
+    caller.say(finished=True)
 
 
 def _write_cameras(task: FeatureTask, database: Path) -> None:
@@ -241,11 +230,8 @@ def _store(task: FeatureTask, photograph: NativePhotograph, features: Features) 
 
 
 def main() -> None:
-    """TASK.json, the descriptor of the pipe to the caller, and the caller's process id."""
-    serve(int(sys.argv[3]))
-    # glog's log files in /tmp would stay behind.
-    pycolmap.logging.logtostderr = True
-    extract(FeatureTask.read(Path(sys.argv[1])), _Pipe(int(sys.argv[2])))
+    task, caller = begin()
+    extract(FeatureTask.read(task), caller)
 
 
 if __name__ == "__main__":

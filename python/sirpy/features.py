@@ -16,22 +16,23 @@ import json
 import os
 import shutil
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+from sirpy.child_process import run_apart
 from sirpy.errors import InputError, OutputError
 from sirpy.exif import Exif, read_exif
 from sirpy.feature_extraction import FeatureTask, NativePhotograph
 from sirpy.feature_tiles import check_tile_side, extractors, feature_tiles, tile_side
 from sirpy.files import file_identity, fingerprint, read_json, write_json
 from sirpy.initial_cameras import CameraPer, check_camera_options, lens_groups
+from sirpy.left_out import leave_out, sizes_of_photographs
 from sirpy.native_images import LeftOut
-from sirpy.photographs import check_choice, find_photographs, photograph_size
-from sirpy.progress import Progress
+from sirpy.photographs import check_choice
+from sirpy.progress import Progress, Steps
 
 __all__ = ["FeatureResult", "features"]
 
@@ -87,9 +88,7 @@ def features(
     if tile is not None:
         check_tile_side(tile, memory, first_octave)
     side = tile or tile_side(memory, first_octave)
-    names = find_photographs(images)
-    left_out: list[LeftOut] = []
-    sizes = _sizes(images, names, left_out, progress)
+    sizes, left_out = sizes_of_photographs(images, progress)
     if not sizes:
         raise InputError(f"{images} holds no usable photograph: {left_out[0].reason}")
     exifs = {name: read_exif(images / name) for name in sizes}
@@ -105,8 +104,8 @@ def features(
         database=str(database.resolve()),
         scratch=str(_scratch(database).resolve()),
         photographs=tuple(
-            NativePhotograph(names.index(name) + 1, name, *size, _position(exifs[name]))
-            for name, size in sizes.items()
+            NativePhotograph(number, name, *size, _position(exifs[name]))
+            for number, (name, size) in enumerate(sizes.items(), start=1)
         ),
         cameras=tuple(tuple(group) for group in cameras),
         camera_model=camera_model,
@@ -132,20 +131,6 @@ def _check_options(
         raise InputError(f"--max_features {max_features} is not possible: choose 1 or more")
     if threads < 0:
         raise InputError(f"--threads {threads} is not possible: choose 0 or more")
-
-
-def _sizes(
-    images: Path, names: list[str], left_out: list[LeftOut], progress: Progress
-) -> dict[str, tuple[int, int]]:
-    """(width, height) of each photograph that has a header; the others join `left_out`."""
-    sizes = {}
-    for name in names:
-        try:
-            sizes[name] = photograph_size(images / name)
-        except InputError as error:
-            left_out.append(LeftOut(name, str(error)))
-            progress.note(f"{name} is left out: {error}")
-    return sizes
 
 
 def _position(exif: Exif) -> tuple[float, float, float] | None:
@@ -206,46 +191,36 @@ def _run(task: FeatureTask, progress: Progress) -> list[LeftOut]:
         raise OutputError(
             f"cannot write {scratch}: {error.strerror or error}; choose another --database"
         ) from error
-    reading, writing = os.pipe()
-    left_out: list[LeftOut] = []
-    done, finished = 0, False
     with (
         log,
-        os.fdopen(reading, encoding="utf-8") as messages,
         progress.stage("finding features", len(task.photographs), "photograph") as steps,
     ):
-        process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "sirpy.feature_extraction", str(scratch / "task.json")),
-                *(str(writing), str(os.getpid())),
-            ],
-            pass_fds=(writing,),
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            # VLFeat's own threads would multiply with the extractors.
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
+        (left_out, finished), failure = run_apart(
+            "sirpy.feature_extraction",
+            scratch / "task.json",
+            log,
+            partial(_follow, steps=steps, progress=progress),
+            omp_threads=1,
         )
-        os.close(writing)
-        try:
-            for message in map(json.loads, messages):
-                if "left_out" in message:
-                    left_out.append(LeftOut(message["left_out"], message["reason"]))
-                    progress.note(f"{message['left_out']} is left out: {message['reason']}")
-                steps.advance(message.get("done", done) - done)
-                done = message.get("done", done)
-                finished = "finished" in message
-            status = process.wait()
-        finally:
-            process.kill()
-            process.wait()
-    if status != 0 or not finished:
-        how = f"was ended by signal {-status}" if status < 0 else f"failed (exit status {status})"
+    if failure or not finished:
         raise InputError(
-            f"the search for features in {task.images} {how}: the end of {scratch / 'log.txt'} "
-            "says why"
+            f"the search for features in {task.images} {failure or 'ended early'}: the end of "
+            f"{scratch / 'log.txt'} says why"
         )
     return left_out
+
+
+def _follow(messages: IO[str], steps: Steps, progress: Progress) -> tuple[list[LeftOut], bool]:
+    """The photographs that are left out, and whether all others are done."""
+    left_out: list[LeftOut] = []
+    done, finished = 0, False
+    for message in map(json.loads, messages):
+        if "left_out" in message:
+            leave_out(message["left_out"], message["reason"], left_out, progress)
+        steps.advance(message.get("done", done) - done)
+        done = message.get("done", done)
+        finished = "finished" in message
+    return left_out, finished
 
 
 def _serve_older_colmap(database: Path, task: FeatureTask) -> None:

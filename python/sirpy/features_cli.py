@@ -7,7 +7,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from sirpy.errors import InputError
+from sirpy.left_out import report_left_out
 
 
 def register(app: typer.Typer) -> None:
@@ -61,10 +61,4 @@ def features(
         progress=make_progress(quiet),
     )
     print(f"database: {result.database}")
-    if result.left_out:
-        reasons = "; ".join(f"{out.name}: {out.reason}" for out in result.left_out[:3])
-        more = f"; and {len(result.left_out) - 3} more" if len(result.left_out) > 3 else ""
-        raise InputError(
-            f"the database is made without {len(result.left_out)} of the photographs "
-            f"({reasons}{more})"
-        )
+    report_left_out(result.left_out)

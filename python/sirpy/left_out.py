@@ -1,11 +1,34 @@
-"""How commands report what is missing from their result."""
+"""Photographs that cannot be used: named when it shows, and at the end of the command."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from sirpy.errors import InputError
 from sirpy.native_images import LeftOut
+from sirpy.photographs import find_photographs, photograph_size
+from sirpy.progress import Progress
+
+
+def leave_out(name: str, reason: str, left_out: list[LeftOut], progress: Progress) -> None:
+    left_out.append(LeftOut(name, reason))
+    progress.note(f"{name} is left out: {reason}")
+
+
+def sizes_of_photographs(
+    images: Path, progress: Progress
+) -> tuple[dict[str, tuple[int, int]], list[LeftOut]]:
+    """(width, height) by name of each photograph in a folder that has a header. Raises InputError where there
+    are no photographs."""
+    sizes: dict[str, tuple[int, int]] = {}
+    left_out: list[LeftOut] = []
+    for name in find_photographs(images):
+        try:
+            sizes[name] = photograph_size(images / name)
+        except InputError as error:
+            leave_out(name, str(error), left_out, progress)
+    return sizes, left_out
 
 
 def report_left_out(

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from dataclasses import asdict, dataclass
@@ -23,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sirpy.child_process import serve
+from sirpy.child_process import how_it_ended, serve
 from sirpy.cloud import Points, positions
 from sirpy.errors import InputError, SirpyError
 from sirpy.files import written_whole
@@ -108,14 +107,11 @@ def run_alone(task: TileTask, task_file: Path) -> str | None:
     finally:
         process.kill()  # only SIGKILL is sure to end a process with COLMAP in it
         process.wait()
-    if process.returncode == 0:
-        return None
-    if process.returncode < 0:
-        name = signal.Signals(-process.returncode).name
-        memory = " (out of memory?)" if name == "SIGKILL" else ""
-        return f"its process was ended by {name}{memory}"
     lines = said.decode(errors="replace").strip().splitlines()
-    return lines[-1] if lines else f"its process failed with exit status {process.returncode}"
+    how = how_it_ended(process.returncode)
+    if how is None:
+        return None
+    return lines[-1] if process.returncode > 0 and lines else f"its process {how}"
 
 
 def solve(task: TileTask) -> None:

@@ -29,7 +29,7 @@ from sirpy.planning import Plan, plan
 from sirpy.progress import LoggedProgress, Progress
 from sirpy.rectangle import Grid
 from sirpy.resources import Meter
-from sirpy.sfm import refine_cameras
+from sirpy.sfm import predicted_refinement_peak, refine_cameras
 from sirpy.sfm_options import SfmOptions
 from sirpy.sparse_model import predicted_sparse_peak, sparse
 from sirpy.stereo_backend import StereoOptions, check_backend
@@ -139,6 +139,8 @@ def reconstruct(
                 threads=threads_used,
                 progress=progress,
             )
+        if native:
+            log.predicted["refine"] = predicted_refinement_peak(workspace)
         model, left_out = solution.model, solution.left_out
     solved = read_arrays(model)
     chosen = plan(

@@ -13,8 +13,10 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from sirpy.errors import OutputError
+from sirpy.errors import BudgetError, OutputError
 from sirpy.files import fingerprint, folder_written_whole
+from sirpy.memory import gigabytes
+from sirpy.model_arrays import read_arrays
 from sirpy.model_files import MODEL_FILES, model_identity
 from sirpy.native_images import LeftOut
 from sirpy.progress import Progress
@@ -120,7 +122,11 @@ def refine_cameras(
     progress: Progress,
 ) -> SfmResult:
     """The stage `refine` after `sparse` has left out some photographs; without `native` it removes
-    what an earlier run refined."""
+    what an earlier run refined.
+
+    Raises:
+        BudgetError: `memory` does not do.
+    """
     solved = workspace.sfm_model
     is_done = workspace.begin_stage("refine", fingerprint(model_identity(solved), native))
     if not native:
@@ -128,6 +134,12 @@ def refine_cameras(
     if not is_done or not workspace.is_refined:
         from sirpy.native_refinement import refine
 
+        needed = predicted_refinement_peak(workspace)
+        if memory is not None and needed > memory:
+            raise BudgetError(
+                f"refining the cameras needs {gigabytes(needed)}, more than --memory allows "
+                f"({gigabytes(memory)}): allow more, or keep the decimated cameras with --no-native"
+            )
         refine(
             *(images, solved, workspace.refined_model),
             threads=threads or os.cpu_count() or 1,
@@ -135,6 +147,13 @@ def refine_cameras(
         )
     left_out = sorted([*left_out, *read_left_out(workspace.refinement)], key=lambda out: out.name)
     return SfmResult(workspace.refined_model, left_out, components, workspace.refinement)
+
+
+def predicted_refinement_peak(workspace: Workspace) -> int:
+    """Bytes, after the stage `sparse`."""
+    from sirpy.native_refinement import predicted_peak
+
+    return predicted_peak(read_arrays(workspace.sfm_model))
 
 
 def _check_target(target: Path, workspace: Workspace) -> None:

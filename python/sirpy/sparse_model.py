@@ -12,20 +12,21 @@ import json
 import os
 import queue
 import sqlite3
-import subprocess
-import sys
 import threading
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
+from sirpy.child_process import run_apart
 from sirpy.errors import BudgetError, InputError
 from sirpy.files import file_identity, fingerprint, read_json, write_json
+from sirpy.left_out import leave_out, sizes_of_photographs
 from sirpy.memory import gigabytes
 from sirpy.model_files import model_identity, read_model
 from sirpy.native_images import LeftOut
-from sirpy.photographs import check_folders, decimate, find_photographs, photograph_size
+from sirpy.photographs import check_folders, decimate, photograph_size
 from sirpy.progress import Progress, Steps
 from sirpy.sfm_options import SfmOptions
 from sirpy.structure_from_motion import DecimatedPhotograph, Task, first_octave
@@ -46,7 +47,6 @@ _SIFT = {
     0: 90,
     -1: 310,
 }  # bytes per decimated pixel of one extractor, by first octave; measured 81 and 297
-_NATIVE = 6  # bytes per native pixel while EXIF is read by COLMAP, which decodes the photograph
 _MAPPING = 12e6  # bytes per photograph of matches, tracks and bundle adjustment
 
 
@@ -66,9 +66,8 @@ def predicted_peak(
 ) -> int:
     """Peak memory in bytes of `sparse`, caller and child process together.
 
-    Two processes, and the largest of: reading EXIF (6 bytes per native pixel), features (90 bytes
-    per decimated pixel and thread, 310 where small photographs are upsampled), mapping (12 MB a
-    photograph).
+    Two processes, and the larger of features (90 bytes per decimated pixel and thread, 310 where small
+    photographs are upsampled) and mapping (12 MB a photograph).
 
     Args:
         width, height: size of a native photograph in pixels.
@@ -78,7 +77,7 @@ def predicted_peak(
     scale = min(1.0, max_size / max(width, height))
     side = scale * max(width, height)
     features = threads * _SIFT[first_octave(round(side))] * scale**2 * width * height
-    return int(2 * _PROCESS + max(_NATIVE * width * height, features, _MAPPING * count))
+    return int(2 * _PROCESS + max(features, _MAPPING * count))
 
 
 def predicted_sparse_peak(
@@ -90,7 +89,7 @@ def predicted_sparse_peak(
         InputError: there are no photographs.
         BudgetError: not even one thread fits in `memory`.
     """
-    sizes = list(_native_sizes(images, find_photographs(images), Progress())[0].values())
+    sizes = list(sizes_of_photographs(images, Progress())[0].values())
     if not sizes:
         return int(2 * _PROCESS)
     width, height = _largest(sizes)
@@ -133,7 +132,7 @@ def sparse(
     # All that can be refused is refused before anything is written or removed.
     check_folders(images, output)
     check_writable(output)
-    sizes, left_out = _native_sizes(images, find_photographs(images), progress)
+    sizes, left_out = sizes_of_photographs(images, progress)
     extractors = _extractors(list(sizes.values()), threads, memory, options.max_image_size)
     survey = look_at(images, sizes, options)
     inputs = fingerprint(
@@ -195,27 +194,8 @@ def _name_components(
     for photograph in photographs:
         if photograph.name not in chosen:
             reason = reasons.get(photograph.name, unrelated)
-            _leave_out(photograph.name, reason, left_out, progress)
+            leave_out(photograph.name, reason, left_out, progress)
     left_out.sort(key=lambda out: out.name)
-
-
-def _native_sizes(
-    images: Path, names: list[str], progress: Progress
-) -> tuple[dict[str, tuple[int, int]], list[LeftOut]]:
-    """(width, height) of each photograph that has a header."""
-    sizes: dict[str, tuple[int, int]] = {}
-    left_out: list[LeftOut] = []
-    for name in names:
-        try:
-            sizes[name] = photograph_size(images / name)
-        except InputError as error:
-            _leave_out(name, str(error), left_out, progress)
-    return sizes, left_out
-
-
-def _leave_out(name: str, reason: str, left_out: list[LeftOut], progress: Progress) -> None:
-    left_out.append(LeftOut(name, reason))
-    progress.note(f"{name} is left out: {reason}")
 
 
 def _decimated(
@@ -245,7 +225,7 @@ def _decimated(
                     )
                 )
             except InputError as error:
-                _leave_out(name, str(error), left_out, progress)
+                leave_out(name, str(error), left_out, progress)
             steps.advance()
     return photographs
 
@@ -280,31 +260,20 @@ def _run(task: Task, workspace: Workspace, progress: Progress) -> list[list[str]
         InputError: the process found the input unusable, or did not end well.
     """
     task.write(workspace.sfm_task)
-    reading, writing = os.pipe()
-    command = [sys.executable, "-m", "sirpy.structure_from_motion", str(workspace.sfm_task)]
-    with os.fdopen(reading, encoding="utf-8") as messages, workspace.sfm_log.open("ab") as log:
-        process = subprocess.Popen(
-            [*command, str(writing), str(os.getpid())],
-            pass_fds=(writing,),
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            # VLFeat's own threads would multiply with the extractors.
-            env={**os.environ, "OMP_NUM_THREADS": str(max(1, task.threads // task.extractors))},
+    with workspace.sfm_log.open("ab") as log:
+        last, failure = run_apart(
+            "sirpy.structure_from_motion",
+            workspace.sfm_task,
+            log,
+            partial(_follow, database=workspace.sfm_database, progress=progress),
+            omp_threads=max(1, task.threads // task.extractors),
         )
-        os.close(writing)
-        try:
-            last = _follow(messages, workspace.sfm_database, progress)
-            status = process.wait()
-        finally:
-            process.kill()
-            process.wait()
     if "error" in last:
         raise InputError(last["error"])
-    if status != 0 or "components" not in last:
-        how = f"was ended by signal {-status}" if status < 0 else f"failed (exit status {status})"
+    if failure or "components" not in last:
         raise InputError(
-            f"structure from motion on {task.images} {how}: the end of {workspace.sfm_log} says why"
+            f"structure from motion on {task.images} {failure or 'ended early'}: the end of "
+            f"{workspace.sfm_log} says why"
         )
     return [list(names) for names in last["components"]]
 

@@ -16,16 +16,14 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from sirpy.child_process import serve
+from sirpy.child_process import Caller, begin
 from sirpy.errors import InputError
 from sirpy.initial_cameras import initial_camera
 from sirpy.lens_models import mapping_model, turn_cameras
@@ -104,19 +102,15 @@ def first_octave(longest_side: int) -> int:
 
 
 class _Report:
-    """Speaks to the caller, one JSON object a line.
+    """What the caller is told.
 
     {"stage", "total", "unit", "table"}: a stage begins; the rows of `table` in the database count
     its steps, or where that is null {"done"} does. {"note"} is for the user. Last {"components"},
     the names in each model, that of the largest first, or {"error"}.
     """
 
-    def __init__(self, descriptor: int) -> None:
-        self._pipe = os.fdopen(descriptor, "w", encoding="utf-8")
-
-    def say(self, **message: Any) -> None:
-        self._pipe.write(json.dumps(message) + "\n")
-        self._pipe.flush()
+    def __init__(self, caller: Caller) -> None:
+        self.say = caller.say
 
     def stage(self, name: str, total: int, unit: str, table: str | None = None) -> None:
         self.say(stage=name, total=total, unit=unit, table=table)
@@ -324,15 +318,11 @@ def _write(model: pycolmap.Reconstruction, folder: Path) -> None:
 
 
 def main() -> None:
-    """TASK.json, the descriptor of the pipe to the caller, and the caller's process id."""
-    serve(int(sys.argv[3]))
-    # glog's log files in /tmp would stay behind.
-    pycolmap.logging.logtostderr = True
-    report = _Report(int(sys.argv[2]))
+    task, caller = begin()
     try:
-        solve(Task.read(Path(sys.argv[1])), report)
+        solve(Task.read(task), _Report(caller))
     except InputError as error:
-        report.say(error=str(error))
+        caller.say(error=str(error))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sirpy import _core
 from sirpy.errors import InputError
+from sirpy.left_out import leave_out
 from sirpy.model_arrays import Floats, SparseModel
 from sirpy.native_images import LeftOut
 from sirpy.patch_store import PatchStore, cut_patches
@@ -112,8 +113,7 @@ def _cut(
                     images / image.name, size, xy, side, folder / f"{index:06}"
                 )
             except InputError as error:
-                left_out.append(LeftOut(image.name, str(error)))
-                progress.note(f"{image.name} is left out: {error}")
+                leave_out(image.name, str(error), left_out, progress)
             steps.advance()
     return stores, left_out
 

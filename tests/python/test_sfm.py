@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pycolmap
 import pytest
 from bumpy_ground import camera_centres, photograph, write_jpeg, write_photographs
 from rig_scene import OBLIQUE_FROM_RIG, TRANSLATION, write_rig_file, write_rig_photographs
-from sirpy.errors import InputError, OutputError
+from sirpy.errors import BudgetError, InputError, OutputError
 from sirpy.model_arrays import read_arrays
 from sirpy.model_files import model_identity
-from sirpy.sfm import sfm
+from sirpy.progress import Progress
+from sirpy.sfm import predicted_refinement_peak, refine_cameras, sfm
 from sirpy.sfm_options import SfmOptions
 from sirpy.workspace import Workspace
 
@@ -62,9 +61,7 @@ def refined(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
             '{"left_out": [{"name": "9.jpg", "reason": "too few tie points"}]}'
         )
 
-    stand_in = ModuleType("sirpy.native_refinement")
-    stand_in.refine = refine  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "sirpy.native_refinement", stand_in)
+    monkeypatch.setattr("sirpy.native_refinement.refine", refine)
     return calls
 
 
@@ -104,6 +101,20 @@ def test_refinement_comes_and_goes_without_another_structure_from_motion(
     assert without.refinement is None and model_identity(copy) == plain
     assert not workspace.refinement.exists() and workspace.solved_model == workspace.sfm_model
     assert workspace.sfm_task.stat().st_mtime_ns == solved
+
+
+def test_refinement_stays_within_the_memory_allowed(photographs: Path, copy: Path) -> None:
+    workspace = Workspace(copy.with_name("model.sfm"))
+    needed = predicted_refinement_peak(workspace)
+    with pytest.raises(BudgetError, match=r"more than --memory allows .* --no-native"):
+        refine_cameras(
+            *(photographs, workspace, [], []),
+            native=True,
+            memory=needed - 1,
+            threads=1,
+            progress=Progress(),
+        )
+    assert not workspace.is_refined
 
 
 def test_what_another_made_is_not_replaced(photographs: Path, made: Path, tmp_path: Path) -> None:
