@@ -94,7 +94,7 @@ def camera_section(workspace: Workspace) -> str:
     return (
         f"<h2>The cameras</h2><p>{found.points:,} tie points were measured at native resolution, "
         f"{found.observations:,} times. Their residuals, observed less projected, had an rms of "
-        f"{found.rms_before:.3f} pixels before the adjustment and have {found.rms_after:.3f} after it.</p>"
+        f"{found.rms_before:.3f} px before the adjustment and have {found.rms_after:.3f} after it.</p>"
         f'<div class="card">{_table(found.images)}</div>'
         "<p>Mean residuals over the frame. Arrows that point the same way side by side are an error of the "
         f"lens that its model does not follow. The scales before and after differ; pale dots have fewer than "
@@ -117,7 +117,7 @@ def _rms(count: npt.NDArray[np.int64], means: Floats) -> str:
     if not count.any():
         return "–"
     squares = (np.where(count > 0, (means**2).sum(axis=2), 0.0) * count).sum()
-    return f"{math.sqrt(squares / count.sum()):.3f} pixels"
+    return f"{math.sqrt(squares / count.sum()):.3f} px"
 
 
 def plot(lens: LensResiduals, means: Floats) -> str:
@@ -178,7 +178,7 @@ def _scale(longest: float, per_pixel: float, y: float) -> str:
     power = 10.0 ** math.floor(math.log10(longest))
     length = power * max(step for step in (1, 2, 5) if step * power <= longest * (1 + 1e-9))
     arrow = _arrows(np.array([[4.0, y]]), np.array([[length * per_pixel, 0.0]]), "#1d2530")
-    return f'{arrow}<text x="{length * per_pixel + 12:.1f}" {label}>{length:g} pixels</text>'
+    return f'{arrow}<text x="{length * per_pixel + 12:.1f}" {label}>{length:g} px</text>'
 
 
 def _table(images: Sequence[ImageResiduals]) -> str:
