@@ -71,8 +71,8 @@ def refine(
     images, output = Path(images), Path(output)
     progress = progress or Progress()
     given, arrays = read_model(model), read_arrays(model)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    tie = measure_tie_points(images, arrays, output.parent, threads=threads, progress=progress)
+    scratch = output.with_name(f".{output.name}.patches")
+    tie = measure_tie_points(images, arrays, scratch, threads=threads, progress=progress)
     with progress.stage("adjusting cameras", 1, "model") as steps:
         measured = _with_tie_points(given, arrays, tie)
         covariances = _by_image(arrays, tie)

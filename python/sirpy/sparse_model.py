@@ -249,7 +249,7 @@ def _extractors(
     raise BudgetError(
         f"structure from motion on {count} photographs of {width}x{height} pixels needs "
         f"{gigabytes(least)}, more than --memory allows ({gigabytes(memory)}): allow more, or "
-        "give a sparse model with --model"
+        "make the model with a smaller --max_image_size of `sirpy sfm`"
     )
 
 

@@ -9,7 +9,7 @@ should see a point join in, whether or not the decimated features did.
 from __future__ import annotations
 
 import math
-import tempfile
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sirpy import _core
-from sirpy.errors import InputError
+from sirpy.errors import InputError, OutputError
 from sirpy.left_out import leave_out
 from sirpy.model_arrays import Floats, SparseModel
 from sirpy.native_images import LeftOut
@@ -72,7 +72,7 @@ def measure_tie_points(
     """Measures the tie points of `model`, a model in native pixels, in the photographs of `images`.
 
     The squares of one photograph (13 kB each) and of one batch of matches (26 MB) are in memory; those of all
-    lie in the folder `scratch` meanwhile.
+    lie in the folder `scratch` meanwhile, which is emptied first and removed at last.
 
     Raises:
         OutputError: `scratch` cannot be written.
@@ -81,13 +81,20 @@ def measure_tie_points(
     views = choose_views(model)
     search = _search_radius(model)
     half = math.ceil(_LARGEST_SCALE * (_RADIUS + search + _TEXTURE_RADIUS)) + 3
-    with tempfile.TemporaryDirectory(dir=scratch, prefix=".patches-") as folder:
-        stores, left_out = _cut(images, model, views, 2 * half + 1, Path(folder), progress)
+    shutil.rmtree(scratch, ignore_errors=True)  # of a run that was killed
+    try:
+        scratch.mkdir(parents=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {scratch}: {error.strerror or error}") from error
+    try:
+        stores, left_out = _cut(images, model, views, 2 * half + 1, scratch, progress)
         matching = _Matching(model, views, stores, search, threads)
         with progress.stage("matching tie points", len(stores), "photograph") as steps:
             for reference in stores:
                 matching.match(reference)
                 steps.advance()
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
     return matching.tie_points(left_out)
 
 

@@ -93,7 +93,11 @@ def test_the_record_says_what_was_found(scene: Path, refined: Refinement) -> Non
 def test_the_same_bytes_for_any_number_of_threads(
     scene: Path, refined: Refinement, tmp_path: Path
 ) -> None:
+    left_by_a_kill = tmp_path / ".model.patches" / "000000"
+    left_by_a_kill.parent.mkdir()
+    left_by_a_kill.write_bytes(b"half")
     again = refine(scene / "images", scene / "rough", tmp_path / "model", threads=1)
+    assert {path.name for path in tmp_path.iterdir()} == {"model", "refinement.json"}
     assert model_identity(again.model) == model_identity(refined.model)
     assert again.record == refined.record
 
