@@ -50,6 +50,13 @@ class NativeCamera:
         pixels: Floats = homogeneous[:, :2] / homogeneous[:, 2:]
         return pixels
 
+    def sees(self, world: Floats) -> npt.NDArray[np.bool_]:
+        """Which of world points (n, 3) fall into the image, (n,)."""
+        sees: npt.NDArray[np.bool_] = self.in_camera(world)[:, 2] > 0
+        x, y = self.project(world[sees]).T
+        sees[sees] = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
+        return sees
+
     def world(self, pixels: Floats, depth: Floats) -> Floats:
         """World points (n, 3) of pixels (n, 2) at depths (n,)."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.intrinsics).T

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.ground import POINTS_OF_A_BLOCK, find_ground, ground_points
 from sirpy.native_scene import (
     Floats,
     Indices,
@@ -31,6 +32,7 @@ _BLOCKS_OF_A_SIDE = 8  # about, of the longest side
 _BLOCK_STEP = 128  # native pixels: whole pixels of every pyramid level, at every border of a block
 _ENOUGH_POINTS = 60  # that give a depth range and a choice of sources
 _FEWEST_POINTS = 3
+_OWN_POINTS = 10  # of a block: with less, it sees the ground that the rest of the image sees
 _MIN_SHARED = 8  # sparse points that a source must share with the reference
 _PERCENTILES = (1.0, 99.0)  # of the inverse depths
 _MARGIN = 0.25  # of the range of inverse depths, on both sides
@@ -112,10 +114,12 @@ def view_field(
     if min(map(len, near)) < _FEWEST_POINTS:  # then the whole image sees no more
         return field
     inverse = np.array([np.percentile(1 / seen.depth[some], _PERCENTILES) for some in near])
+    expected, near, points = _with_ground(scene, name, blocks, near, inverse)
     # As float32 already here: what is visible is judged between the depths that stereo is given.
-    depths = _depth_ranges(inverse.reshape(rows, columns, 2)).astype(np.float32)
+    shape = (rows, columns, 2)
+    depths = _depth_ranges(inverse.reshape(shape), expected.reshape(shape)).astype(np.float32)
     corners = frustum_corners(camera, blocks, depths.reshape(-1, 2))
-    pairs = _shared_points(scene, name, seen.point)
+    pairs = _shared_points(scene, name, *points)
     visible: dict[str, npt.NDArray[np.bool_]] = {}
 
     def is_source(other: str, block: int) -> bool:
@@ -157,7 +161,8 @@ def source_scores(scene: NativeScene, name: str, rectangle: Rectangle) -> dict[s
     The points are those in the rectangle or, where they are few, around it, as for the field.
     """
     near = observations_around(scene, name, rectangle)
-    pairs = _shared_points(scene, name, scene.observations[name].point[near])
+    points = scene.observations[name].point[near]
+    pairs = _shared_points(scene, name, *_seen_points(scene, points))
     return pairs.scores(np.arange(len(near)))
 
 
@@ -171,13 +176,52 @@ def observations_around(scene: NativeScene, name: str, rectangle: Rectangle) -> 
     holds enough."""
     camera, seen = scene.cameras[name], scene.observations[name]
     whole = Rectangle(0, 0, camera.width, camera.height)
-    margin = max(1, max(rectangle.width, rectangle.height) // 8)
+    margin = _margin(rectangle)
     while True:
         region = rectangle.padded(margin)
         inside = _inside(seen, region)
         if np.count_nonzero(inside) >= _ENOUGH_POINTS or region.contains(whole):
             return np.flatnonzero(inside)
         margin *= 2
+
+
+def _margin(rectangle: Rectangle) -> int:
+    """Pixels around a rectangle whose points are as good as its own."""
+    return max(1, max(rectangle.width, rectangle.height) // 8)
+
+
+def _with_ground(
+    scene: NativeScene, name: str, blocks: list[Rectangle], near: list[Indices], inverse: Floats
+) -> tuple[Floats, list[Indices], _SeenPoints]:
+    """Blocks that hold hardly a point are expected to see the ground that the rest of the image sees.
+
+    Args:
+        near: indices of the observations around each block.
+        inverse: (blocks, 2), their least and greatest inverse depths.
+
+    Returns:
+        `inverse` and `near` with the ground of these blocks, and the points that `near` is of: those that the
+        image observes, then those on the ground.
+    """
+    seen = scene.observations[name]
+    points = _seen_points(scene, seen.point)
+    poor = [
+        index
+        for index, block in enumerate(blocks)
+        if np.count_nonzero(_inside(seen, block.padded(_margin(block)))) < _OWN_POINTS
+    ]
+    if not poor:
+        return inverse, near, points
+    ground = find_ground(seen)
+    expected, near = inverse.copy(), list(near)
+    for number, index in enumerate(poor):
+        low, high = ground.range_of(blocks[index])
+        expected[index] = min(inverse[index, 0], low), max(inverse[index, 1], high)
+        own = len(seen.point) + POINTS_OF_A_BLOCK * number + np.arange(POINTS_OF_A_BLOCK)
+        near[index] = np.concatenate([near[index], own])
+    world, point, observer = ground_points(scene, name, ground, [blocks[i] for i in poor])
+    lying = world, len(seen.point) + point, observer
+    return expected, near, tuple(map(np.concatenate, zip(points, lying, strict=True)))  # type: ignore[return-value]
 
 
 def frustum_corners(
@@ -205,6 +249,10 @@ def projected_boxes(source: NativeCamera, corners: Floats) -> Floats:
     boxes[front] = np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
     clipped: Floats = np.clip(boxes, -_FAR, _FAR)
     return clipped
+
+
+# Points, world (p, 3), and who sees them: pairs (point, index of a camera), those of a point together.
+_SeenPoints = tuple[Floats, Indices, Indices]
 
 
 @dataclass(frozen=True)
@@ -235,12 +283,23 @@ class _SharedPoints:
         return min(max(0, round(float(np.log2(ratio)))), MOST_LEVELS)
 
 
-def _shared_points(scene: NativeScene, reference: str, points: Indices) -> _SharedPoints:
-    """Only the cameras that see one of the points are touched: the work hardly grows with the number of
-    photographs."""
+def _seen_points(scene: NativeScene, points: Indices) -> _SeenPoints:
     start, camera = scene.observers
     observer = camera[_joined(start[points], start[points + 1])]
     which = np.repeat(np.arange(len(points)), start[points + 1] - start[points])
+    return scene.points[points], which, observer
+
+
+def _shared_points(
+    scene: NativeScene, reference: str, points: Floats, which: Indices, observer: Indices
+) -> _SharedPoints:
+    """Only the cameras that see one of the points are touched: the work hardly grows with the number of
+    photographs.
+
+    Args:
+        points: (p, 3), world.
+        which, observer: pairs of a point and the camera that sees it, those of a point together.
+    """
     every = list(scene.cameras)
     apart = observer != every.index(reference)
     observer, which = observer[apart], which[apart]
@@ -253,9 +312,8 @@ def _shared_points(scene: NativeScene, reference: str, points: Indices) -> _Shar
     centres = np.array([one.centre for one in cameras]).reshape(-1, 3)
     focals = np.array([one.intrinsics[0, 0] for one in cameras])
     axes = np.array([one.cam_from_world[2, :3] for one in cameras]).reshape(-1, 3)
-    world = scene.points[points]
     # From the cameras to the points.
-    here, there = world - own.centre, world[which] - centres[other]
+    here, there = points - own.centre, points[which] - centres[other]
     here_distance, there_distance = _length(here)[which], _length(there)
     own_focal, focal = own.intrinsics[0, 0], focals[other]
     ratio = (here_distance / own_focal) / (there_distance / focal)
@@ -320,7 +378,7 @@ def _best(choices: list[list[str]]) -> list[str]:
     )[:MOST_SOURCES]
 
 
-def _depth_ranges(inverse: Floats) -> Floats:
+def _depth_ranges(inverse: Floats, expected: Floats) -> Floats:
     """(rows, columns, 2): nearest and farthest depth of each block, with margins.
 
     A range is joined with those of the 8 blocks around it, so that a roof is not cut off whose sparse
@@ -330,8 +388,9 @@ def _depth_ranges(inverse: Floats) -> Floats:
     Args:
         inverse: (rows, columns, 2), least and greatest inverse depth of the sparse points; it is
             linear over a plane.
+        expected: the same, with what is expected where hardly a point is seen.
     """
-    beyond = np.pad(inverse, ((1, 1), (1, 1), (0, 0)), mode="reflect", reflect_type="odd")
+    beyond = np.pad(expected, ((1, 1), (1, 1), (0, 0)), mode="reflect", reflect_type="odd")
     found = np.empty_like(inverse)
     for row, column in np.ndindex(*inverse.shape[:2]):
         around = beyond[row : row + 3, column : column + 3]

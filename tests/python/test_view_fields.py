@@ -124,6 +124,30 @@ def test_sloping_ground_goes_on_where_its_points_end() -> None:
     assert share < 0.75  # three blocks of seven, and the margins
 
 
+def test_ground_without_points_is_where_the_rest_of_the_ground_goes_on() -> None:
+    """Inverse depths of a plane with houses, seen in the left half of the image alone."""
+    rng = np.random.default_rng(3)
+    pixel = rng.uniform([0, 0], [400, 600], (3000, 2))
+
+    def inverse(xy: np.ndarray) -> np.ndarray:
+        return 0.01 + xy @ [1e-5, 2e-6]
+
+    houses = rng.uniform(size=3000) < 0.2
+    depth = 1 / (inverse(pixel) * np.where(houses, 1.05, 1.0))
+    seen = SCENE.observations["003.jpg"]
+    half = type(seen)(np.resize(seen.point, 3000), pixel, depth)
+    scene = replace(SCENE, observations={**SCENE.observations, "003.jpg": half})
+    field = view_field(scene, "003.jpg", num_sources=1)
+    ys, xs = np.mgrid[0:600, 0:800]
+    true = inverse(np.stack([xs + 0.5, ys + 0.5], axis=-1))
+    block = np.ix_(np.arange(600) // 128, np.arange(800) // 128)
+    assert (1 / field.max_depth[block] < true).all()
+    assert (1.04 * true < 1 / field.min_depth[block]).all()
+    # Where there are points, no wider than the slope over three blocks and the houses ask for.
+    wide = 1 / field.min_depth[:, :2] - 1 / field.max_depth[:, :2]
+    assert wide.max() < 1.5 * (3 * 128 * 1.2e-5 + 9e-4)
+
+
 def test_the_sky_is_not_deeper_than_twice_the_points() -> None:
     """Inverse depths that would fall below 0 beyond the points."""
     rng = np.random.default_rng(3)
@@ -182,6 +206,18 @@ def test_a_block_without_points_takes_those_around_it() -> None:
     assert (field.min_depth > 90).all() and (field.allowed != 0).all()
     # What the points show of the sources is far to the right, but those that cannot see the left are out.
     assert "006.jpg" not in _allowed_names(field, 0, 0)
+
+
+def test_a_block_without_points_takes_what_would_see_its_ground() -> None:
+    """No other photograph shares points with the left of this one, as where oblique views meet."""
+    seen = SCENE.observations["003.jpg"]
+    start, camera = SCENE.observers
+    first = list(SCENE.cameras).index("001.jpg")
+    shared = np.array([first in camera[start[i] : start[i + 1]] for i in seen.point])
+    scene = _without_points(SCENE, "003.jpg", (seen.pixel[:, 0] <= 600) | shared)
+    field = view_field(scene, "003.jpg", num_sources=4)
+    whole = view_field(SCENE, "003.jpg", num_sources=4)
+    assert "001.jpg" in _allowed_names(whole, 2, 0) and "001.jpg" in _allowed_names(field, 2, 0)
 
 
 def test_an_image_with_hardly_a_point_has_an_empty_field() -> None:
