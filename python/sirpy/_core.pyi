@@ -120,7 +120,11 @@ class MatchingOptions:
     def __init__(self, radius: int, search_radius: int) -> None: ...
 
 def best_textured(
-    patches: NDArray[np.uint16], starts: NDArray[np.int32], radius: int, window_radius: int
+    patches: NDArray[np.uint16],
+    starts: NDArray[np.int32],
+    radius: int,
+    window_radius: int,
+    threads: int,
 ) -> NDArray[np.int32]:
     """(n, 2) pixels with the most texture within `radius` of `starts` (n, 2), each in its patch."""
 
@@ -130,7 +134,7 @@ def match_patches(
     targets: NDArray[np.uint16],
     positions: NDArray[np.float64],
     affines: NDArray[np.float64],
-    white: int,
+    whites: NDArray[np.int32],
     threads: int,
     options: MatchingOptions,
 ) -> tuple[
@@ -142,7 +146,8 @@ def match_patches(
 ]:
     """(status (n,), position (n, 2), affine (n, 2, 2), covariance (n, 2, 2), correlation (n,)) of the pixels
     `centres` of square patches in target patches; predicted at `positions`, with target_from_reference `affines`.
-    Positions are in pixels of the patch, the centre of its first at (0, 0)."""
+    Positions are in pixels of the patch, the centre of its first at (0, 0). `whites` (n, 2): luma from which on
+    reference and target are saturated."""
 
 # ---- sub_image: sparse models (sirpy.model_arrays)
 

@@ -157,7 +157,11 @@ class _Matching:
         centres = np.empty((rows.size, 2), np.int32)
         for batch in _batches(rows.size):
             centres[batch] = _core.best_textured(
-                store.read(rows[batch] - first), starts[batch], _TEXTURE_RADIUS, _RADIUS
+                store.read(rows[batch] - first),
+                starts[batch],
+                _TEXTURE_RADIUS,
+                _RADIUS,
+                self._threads,
             )
         self._xy[rows] = store.origins[rows - first] + centres + 0.5
         planes = LocalPlanes(self._model, reference, views.point[rows], self._xy[rows])
@@ -189,6 +193,8 @@ class _Matching:
         remaining = np.arange(others.size)
         references = store.read(of_store[which])
         targets = self._read(others)
+        whites = np.column_stack([np.full(others.size, store.white), self._whites(others)])
+        whites = np.ascontiguousarray(np.round(_SATURATED * whites), np.int32)
         for slopes in planes.local, planes.common:
             predicted, affines = self._predict(planes, slopes, others[remaining], which[remaining])
             corners = self._corners(others[remaining])
@@ -198,7 +204,7 @@ class _Matching:
                 targets[remaining],
                 predicted - corners - 0.5,
                 affines,
-                round(_SATURATED * store.white),
+                whites[remaining],
                 self._threads,
                 self._options,
             )
@@ -228,6 +234,12 @@ class _Matching:
         for target, at in _by_image(self._views.image[others]):
             corners[at] = self._stores[target].origins[others[at] - self._views.starts[target]]
         return corners
+
+    def _whites(self, others: Ints) -> Ints:
+        whites = np.empty(others.size, np.int64)
+        for target, at in _by_image(self._views.image[others]):
+            whites[at] = self._stores[target].white
+        return whites
 
     def tie_points(self, left_out: list[LeftOut]) -> TiePoints:
         views = self._views

@@ -66,7 +66,7 @@ void CheckRows(py::ssize_t found, py::ssize_t expected, const char* name) {
 }
 
 Array<int32_t> BestTexturedOfAll(const Array<uint16_t>& patches, const Array<int32_t>& starts,
-                                 int radius, int window_radius) {
+                                 int radius, int window_radius, int threads) {
   CheckPatches(patches, "patches");
   CheckDimensions(starts, 2, "starts");
   CheckRows(starts.shape(0), patches.shape(0), "starts");
@@ -74,7 +74,7 @@ Array<int32_t> BestTexturedOfAll(const Array<uint16_t>& patches, const Array<int
   int32_t* out = best.mutable_data();
   const py::ssize_t count = patches.shape(0);
   const py::gil_scoped_release unlocked;
-#pragma omp parallel for schedule(dynamic, 16)
+#pragma omp parallel for schedule(dynamic, 16) num_threads(threads)
   for (py::ssize_t i = 0; i < count; ++i) {
     const int32_t* start = starts.data(i, 0);
     const Eigen::Vector2i found =
@@ -88,7 +88,7 @@ Array<int32_t> BestTexturedOfAll(const Array<uint16_t>& patches, const Array<int
 // (status, position, affine, covariance, correlation), one row for each target.
 py::tuple MatchAll(const Array<uint16_t>& references, const Array<int32_t>& centres,
                    const Array<uint16_t>& targets, const Array<double>& positions,
-                   const Array<double>& affines, int white, int threads,
+                   const Array<double>& affines, const Array<int32_t>& whites, int threads,
                    const MatchingOptions& options) {
   CheckPatches(references, "references");
   CheckPatches(targets, "targets");
@@ -100,6 +100,8 @@ py::tuple MatchAll(const Array<uint16_t>& references, const Array<int32_t>& cent
   CheckRows(positions.shape(0), count, "positions");
   CheckDimensions(affines, 3, "affines");
   CheckRows(affines.shape(0), count, "affines");
+  CheckDimensions(whites, 2, "whites");
+  CheckRows(whites.shape(0), count, "whites");
   Array<uint8_t> status(std::vector<py::ssize_t>{count});
   Array<double> found(std::vector<py::ssize_t>{count, 2});
   Array<double> shapes(std::vector<py::ssize_t>{count, 2, 2});
@@ -118,9 +120,11 @@ py::tuple MatchAll(const Array<uint16_t>& references, const Array<int32_t>& cent
       PatchMap predicted;
       predicted.position = Eigen::Map<const Eigen::Vector2d>(positions.data(i, 0));
       predicted.affine = Eigen::Map<const RowMajor>(affines.data(i, 0, 0));
-      const PatchMatch match =
-          MatchPatch(PatchAt(references, i), {*centres.data(i, 0), *centres.data(i, 1)},
-                     PatchAt(targets, i), predicted, white, options);
+      LumaPatch reference = PatchAt(references, i), target = PatchAt(targets, i);
+      reference.white = *whites.data(i, 0);
+      target.white = *whites.data(i, 1);
+      const PatchMatch match = MatchPatch(reference, {*centres.data(i, 0), *centres.data(i, 1)},
+                                          target, predicted, options);
       status_out[i] = static_cast<uint8_t>(match.status);
       Eigen::Map<Eigen::Vector2d>(found_out + 2 * i) = match.map.position;
       Eigen::Map<RowMajor>(shapes_out + 4 * i) = match.map.affine;
@@ -163,11 +167,12 @@ void BindTiePoints(py::module_& module) {
       .def_readwrite("max_distortion", &MatchingOptions::max_distortion)
       .def_readwrite("max_saturated", &MatchingOptions::max_saturated);
   module.def("best_textured", &BestTexturedOfAll, py::arg("patches").noconvert(),
-             py::arg("starts").noconvert(), py::arg("radius"), py::arg("window_radius"));
+             py::arg("starts").noconvert(), py::arg("radius"), py::arg("window_radius"),
+             py::arg("threads"));
   module.def("match_patches", &MatchAll, py::arg("references").noconvert(),
              py::arg("centres").noconvert(), py::arg("targets").noconvert(),
-             py::arg("positions").noconvert(), py::arg("affines").noconvert(), py::arg("white"),
-             py::arg("threads"), py::arg("options"));
+             py::arg("positions").noconvert(), py::arg("affines").noconvert(),
+             py::arg("whites").noconvert(), py::arg("threads"), py::arg("options"));
 }
 
 }  // namespace sirpy

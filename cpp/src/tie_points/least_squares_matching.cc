@@ -182,12 +182,11 @@ std::array<Peak, 2> Peaks(const std::vector<double>& correlations, int search) {
   return {best, second};
 }
 
-double SaturatedShare(const LumaPatch& patch, const Eigen::Vector2i& centre, int radius,
-                      int white) {
+double SaturatedShare(const LumaPatch& patch, const Eigen::Vector2i& centre, int radius) {
   int saturated = 0;
   for (int y = -radius; y <= radius; ++y) {
     for (int x = -radius; x <= radius; ++x) {
-      saturated += patch.At(centre.x() + x, centre.y() + y) >= white;
+      saturated += patch.At(centre.x() + x, centre.y() + y) >= patch.white;
     }
   }
   const int size = 2 * radius + 1;
@@ -299,7 +298,7 @@ Eigen::Vector2i BestTextured(const LumaPatch& patch, const Eigen::Vector2i& star
 }
 
 PatchMatch MatchPatch(const LumaPatch& reference, const Eigen::Vector2i& centre,
-                      const LumaPatch& target, const PatchMap& predicted, int white,
+                      const LumaPatch& target, const PatchMap& predicted,
                       const MatchingOptions& options) {
   PatchMatch match;
   match.map = predicted;
@@ -307,7 +306,7 @@ PatchMatch MatchPatch(const LumaPatch& reference, const Eigen::Vector2i& centre,
   if (!Fits(reference, centre, radius)) return match;
   const std::vector<float> resampled = Resampled(target, predicted, radius + options.search_radius);
   if (resampled.empty()) return match;
-  if (SaturatedShare(reference, centre, radius, white) > options.max_saturated) {
+  if (SaturatedShare(reference, centre, radius) > options.max_saturated) {
     match.status = MatchStatus::kSaturated;
     return match;
   }
@@ -330,6 +329,12 @@ PatchMatch MatchPatch(const LumaPatch& reference, const Eigen::Vector2i& centre,
   const Eigen::Vector2d found =
       predicted.position + predicted.affine * Eigen::Vector2d(best.x, best.y);
   match.map.position = found;
+  const Eigen::Vector2i nearest = found.array().round().cast<int>();
+  if (Fits(target, nearest, radius) &&
+      SaturatedShare(target, nearest, radius) > options.max_saturated) {
+    match.status = MatchStatus::kSaturated;
+    return match;
+  }
   Round round;
   bool converged = false;
   for (int i = 0; i < kMaxIterations; ++i) {

@@ -12,10 +12,11 @@
 
 namespace sirpy {
 
-// A square of luma, row-major.
+// A square of luma, row-major; from `white` on it counts as saturated.
 struct LumaPatch {
   const uint16_t* luma = nullptr;
   int side = 0;
+  int white = 1 << 16;
 
   float At(int x, int y) const { return luma[y * side + x]; }
 };
@@ -27,7 +28,7 @@ struct MatchingOptions {
   double max_rival = 0.6;      // share of a rival's distance from perfection that the best may have
   double max_deviation = 0.2;  // standard deviation of the position, pixels of the target
   double max_distortion = 0.5;  // of the affine map beside the predicted one
-  double max_saturated = 0.1;   // share of the window
+  double max_saturated = 0.1;   // share of the window, in either photograph
 };
 
 enum class MatchStatus : uint8_t {
@@ -70,9 +71,9 @@ Eigen::Vector2i BestTextured(const LumaPatch& patch, const Eigen::Vector2i& star
                              int window_radius);
 
 // Where `centre` of the reference is in the target. `predicted` is searched around by normalised
-// correlation, then improved by least squares. `white`: luma that counts as saturated.
+// correlation, then improved by least squares.
 PatchMatch MatchPatch(const LumaPatch& reference, const Eigen::Vector2i& centre,
-                      const LumaPatch& target, const PatchMap& predicted, int white,
+                      const LumaPatch& target, const PatchMap& predicted,
                       const MatchingOptions& options);
 
 }  // namespace sirpy

@@ -48,7 +48,7 @@ using Surface = std::function<double(const Vector2d&)>;
 
 struct Pixels {
   std::vector<uint16_t> luma;
-  LumaPatch patch() const { return {luma.data(), kSide}; }
+  LumaPatch patch() const { return {luma.data(), kSide, kWhite}; }
 };
 
 // What a camera sees of a surface: noise in luma (256 are a grey level), positions about the
@@ -73,7 +73,7 @@ PatchMap Predicted(const Vector2d& shift = Vector2d::Zero()) {
 }
 
 PatchMatch Match(const Pixels& reference, const Pixels& target, const PatchMap& predicted) {
-  return MatchPatch(reference.patch(), {kMiddle, kMiddle}, target.patch(), predicted, kWhite, {});
+  return MatchPatch(reference.patch(), {kMiddle, kMiddle}, target.patch(), predicted, {});
 }
 
 TEST(PixelDifference, JacobianIsThatOfFiniteDifferences) {
@@ -159,6 +159,11 @@ TEST(MatchPatch, SaturatedPlacesAreLeftAlone) {
   const Surface glare = [&](const Vector2d& p) { return p.x() > 4 ? 65280 : texture(p); };
   const PatchMatch match = Match(Photograph(glare, 384, 1), Photograph(glare, 384, 2), Predicted());
   EXPECT_EQ(match.status, MatchStatus::kSaturated);
+  // In the longer exposure alone.
+  const Surface longer = [&](const Vector2d& p) { return 2.9 * texture(p); };
+  const PatchMatch over =
+      Match(Photograph(texture, 384, 1), Photograph(longer, 384, 2), Predicted());
+  EXPECT_EQ(over.status, MatchStatus::kSaturated);
 }
 
 TEST(MatchPatch, AnEdgeOrNoTextureIsWeak) {
@@ -190,7 +195,7 @@ TEST(MatchPatch, WindowsBeyondThePatchAreOutside) {
     EXPECT_EQ(Match(pixels, pixels, Predicted(shift)).status, MatchStatus::kOutside);
   }
   const PatchMatch match =
-      MatchPatch(pixels.patch(), {3, kMiddle}, pixels.patch(), Predicted(), kWhite, {});
+      MatchPatch(pixels.patch(), {3, kMiddle}, pixels.patch(), Predicted(), {});
   EXPECT_EQ(match.status, MatchStatus::kOutside);
 }
 
