@@ -24,9 +24,9 @@ from sirpy.alignment import Alignment
 from sirpy.cutting import cut
 from sirpy.georeference import georeference
 from sirpy.layout import Region
+from sirpy.model_files import read_model
 from sirpy.photographs import find_photographs
 from sirpy.rectangle import Grid, Rectangle
-from sirpy.sparse_model import read_model
 
 
 def main() -> None:

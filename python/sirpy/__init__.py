@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from sirpy.html_report import report
     from sirpy.layout import Region
     from sirpy.lens import UndistortOptions
+    from sirpy.model_files import read_model
     from sirpy.photographs import Encoding
     from sirpy.pipeline import reconstruct
     from sirpy.planning import plan
     from sirpy.recapturing import recapture
     from sirpy.rectangle import Grid, Rectangle
     from sirpy.sfm_options import SfmOptions
-    from sirpy.sparse_model import read_model
     from sirpy.stereo_backend import StereoOptions
     from sirpy.view_selection import views
     from sirpy.windows import read_window
@@ -61,7 +61,7 @@ _HOME = {
     "fuse": "fusion",
     "plan": "planning",
     "read_area": "area",
-    "read_model": "sparse_model",
+    "read_model": "model_files",
     "read_window": "windows",
     "recapture": "recapturing",
     "reconstruct": "pipeline",

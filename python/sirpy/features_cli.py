@@ -8,6 +8,7 @@ from typing import Annotated, Any, cast
 import typer
 
 from sirpy.left_out import report_left_out
+from sirpy.sfm_cli import CameraModel, CameraPer
 
 
 def register(app: typer.Typer) -> None:
@@ -23,12 +24,8 @@ def features(
     first_octave: Annotated[
         int, typer.Option(help="0; or -1 for features of half the scale, in 4 times the time.")
     ] = 0,
-    camera_model: Annotated[
-        str, typer.Option(help="COLMAP's name of a camera model.")
-    ] = "SIMPLE_RADIAL",
-    camera_per: Annotated[
-        str, typer.Option(help="Who shares a camera: auto (lens by EXIF), image, folder, single.")
-    ] = "auto",
+    camera_model: CameraModel = "SIMPLE_RADIAL",
+    camera_per: CameraPer = "auto",
     memory: Annotated[
         str, typer.Option(help="What the whole process tree may take: 8GB, 500MB.")
     ] = "1GB",

@@ -69,11 +69,19 @@ def ground_points(
     scene: NativeScene, name: str, ground: Ground, blocks: list[Rectangle]
 ) -> tuple[Floats, Indices, Indices]:
     """Points of the ground in blocks of a native image, POINTS_OF_A_BLOCK in each, and who would see them: world
-    (p, 3), and pairs (point, index of a camera), those of a point together."""
+    (p, 3), and pairs (point, index of a camera), those of a point together.
+
+    Photographs that see no sparse point at all are not asked: nothing tells where they are.
+    """
     steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     across = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     pixel = np.concatenate([(one.x0, one.y0) + across * (one.width, one.height) for one in blocks])
     world = scene.cameras[name].world(pixel, 1 / ground.inverse_depth(pixel))
-    sees = np.array([camera.sees(world) for camera in scene.cameras.values()])
+    sees = np.array(
+        [
+            camera.sees(world) & (len(scene.observations[other].point) > 0)
+            for other, camera in scene.cameras.items()
+        ]
+    )
     point, observer = np.nonzero(sees.T)
     return world, point, observer

@@ -15,14 +15,15 @@ import numpy as np
 import pycolmap
 
 from sirpy.bundle_adjustment import Adjustment, Intrinsics, bundle_adjust
-from sirpy.errors import InputError
+from sirpy.errors import InputError, OutputError
 from sirpy.files import folder_written_whole
 from sirpy.model_arrays import Floats, SparseModel, read_arrays, write_model
-from sirpy.model_files import read_model
+from sirpy.model_files import MODEL_FILES, read_model
 from sirpy.native_images import LeftOut
 from sirpy.progress import Progress
 from sirpy.refinement_record import RefinementRecord, record, write_record
 from sirpy.tie_points import STATUS, TiePoints, measure_tie_points
+from sirpy.workspace import check_writable
 
 _GATE = 4.0  # sigma0: an observation beyond it is taken for a wrong match
 _ROUNDS = 5
@@ -40,10 +41,10 @@ class Refinement:
 
 
 def predicted_peak(model: SparseModel) -> int:
-    """Peak memory in bytes of `refine`: 0.15 GB, and the larger of 13 kB for each tie point of the photograph that
+    """Peak memory in bytes of `refine`: 0.18 GB, and the larger of 13 kB for each tie point of the photograph that
     has most and 1.5 kB for each observation of all."""
     observations = np.diff(model.starts)
-    return int(150e6 + max(13e3 * observations.max(initial=0), 1.5e3 * observations.sum()))
+    return int(180e6 + max(13e3 * observations.max(initial=0), 1.5e3 * observations.sum()))
 
 
 def refine(
@@ -66,9 +67,10 @@ def refine(
 
     Raises:
         InputError: the model is not usable, or no two photographs share tie points.
-        OutputError: `output` cannot be written.
+        OutputError: `output` cannot be written, or holds something else than a model.
     """
     images, output = Path(images), Path(output)
+    _check_output(output, images, Path(model))
     progress = progress or Progress()
     given, arrays = read_model(model), read_arrays(model)
     scratch = output.with_name(f".{output.name}.patches")
@@ -90,6 +92,20 @@ def refine(
         adjustment.model.write_binary(folder)
     write_record(made, output.with_name("refinement.json"))
     return Refinement(output, made)
+
+
+def _check_output(output: Path, images: Path, model: Path) -> None:
+    """Nothing but a model is replaced, and not the one that is read."""
+    check_writable(output.parent)
+    for given in (images, model):
+        if given.resolve().is_relative_to(output.resolve()):
+            raise OutputError(f"{output} would replace {given}: choose another output")
+    if output.is_symlink() or (output.exists() and not output.is_dir()):
+        raise OutputError(f"{output} is no folder: choose another output")
+    if output.is_dir():
+        others = sorted(path.name for path in output.iterdir() if path.name not in MODEL_FILES)
+        if others:
+            raise OutputError(f"{output} holds {others[0]}: choose another output, or move it away")
 
 
 def _with_tie_points(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
 from sirpy.sfm_options import Matcher
@@ -17,7 +18,6 @@ ALL_PAIRS = 60
 NEIGHBOURS = 30  # nearest, or most alike, photographs that each is matched with, beyond that number
 _SEQUENCE = 5  # and those before and after it, where positions are known
 _OVERLAP = 10  # the same, where they are not; and those at distances of powers of two
-_EARTH_RADIUS = 6_371_000.0  # m
 COARSEST = 300  # features of a photograph that tell what it looks like
 _RATIO = 0.8  # of the distances to the most similar feature and to the next
 
@@ -38,9 +38,8 @@ def all_pairs(count: int) -> Pairs:
 def spatial_pairs(positions: Sequence[Position]) -> Pairs:
     """Near neighbours on the ground, and by sequence."""
     count = len(positions)
-    degrees = np.array(positions)
-    scale = np.array([1.0, np.cos(np.radians(degrees[:, 0].mean()))])
-    metres = np.radians(degrees) * scale * _EARTH_RADIUS
+    on_ground = np.column_stack([np.array(positions), np.zeros(count)])
+    metres: NDArray[np.float64] = pycolmap.GPSTransform().ellipsoid_to_ecef(on_ground)
     pairs = {(i, j) for i in range(count) for j in range(i + 1, min(count, i + 1 + _SEQUENCE))}
     for i in range(count):
         distance = np.linalg.norm(metres - metres[i], axis=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,6 +74,6 @@ def cut_patches(
             patches.tofile(file)
     except OSError as error:
         raise OutputError(
-            f"cannot write {path} ({os.strerror(error.errno or 0)}): free some space there"
+            f"cannot write {path} ({error.strerror or error}): free some space there"
         ) from error
     return PatchStore(path, side, origins, white)

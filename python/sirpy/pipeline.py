@@ -131,7 +131,8 @@ def reconstruct(
             images, threads_used, memory, max_size=sfm_options.max_image_size
         )
         oriented = len(made.components[0])
-        with log.stage(workspace, "refine", oriented if native else 0, "photograph"):
+        units = oriented if native else 0
+        with log.stage(workspace, "refine", units, "photograph", begun=workspace.is_refined):
             solution = refine_cameras(
                 *(images, workspace, made.left_out, made.components),
                 native=native,
@@ -222,8 +223,11 @@ class _RunLog:
     predicted: dict[str, int] = field(default_factory=dict)
 
     @contextmanager
-    def stage(self, workspace: Workspace, name: str, units: int, unit: str) -> Iterator[None]:
-        before = workspace.fingerprint_of(name)
+    def stage(
+        self, workspace: Workspace, name: str, units: int, unit: str, *, begun: bool = True
+    ) -> Iterator[None]:
+        """Measures a stage; without `begun` nothing of it can be there already."""
+        before = workspace.fingerprint_of(name) if begun else ""
         with Meter() as meter:
             yield
         self.stages.append(

@@ -3,7 +3,8 @@ resolution.
 
     OUTPUT       COLMAP model of the native photographs, binary
     OUTPUT.sfm   the workspace beside it: decimated copies, database, log, decimated model,
-                 refinement.json; what the same command goes on from. It may be deleted.
+                 refinement.json; what the same command goes on from. Without it the model is
+                 nobody's, and is not replaced.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from sirpy.errors import BudgetError, OutputError
-from sirpy.files import fingerprint, folder_written_whole
+from sirpy.errors import BudgetError, InputError, OutputError
+from sirpy.files import fingerprint, folder_written_whole, read_json, write_json
 from sirpy.memory import gigabytes
 from sirpy.model_arrays import read_arrays
 from sirpy.model_files import MODEL_FILES, model_identity
@@ -66,9 +67,8 @@ def sfm(
         BudgetError: `memory` does not do.
         OutputError: `output` cannot be written, or holds something else.
     """
-    output = Path(output)
-    # ".", "..", "a/" too have a place beside them.
-    target = output.parent.resolve() / output.name if output.name else output.resolve()
+    # A link, ".", "a/" too have a place beside them.
+    target = Path(output).resolve()
     workspace = Workspace(target.with_name(f"{target.name}.sfm"))
     _check_target(target, workspace)
     check_writable(target)
@@ -79,12 +79,14 @@ def sfm(
         threads=threads,
         progress=progress or Progress(),
     )
-    if not target.is_dir() or model_identity(target) != model_identity(found.model):
+    identity = model_identity(found.model)
+    if identity != _identity(target):
+        _remember(identity, workspace)
         with folder_written_whole(target) as temporary:
             for path in sorted(found.model.iterdir()):
                 if path.name in MODEL_FILES:
                     shutil.copyfile(path, temporary / path.name)
-    return SfmResult(output, found.left_out, found.components, found.refinement)
+    return SfmResult(Path(output), found.left_out, found.components, found.refinement)
 
 
 def solve_cameras(
@@ -158,15 +160,40 @@ def predicted_refinement_peak(workspace: Workspace) -> int:
 
 def _check_target(target: Path, workspace: Workspace) -> None:
     """Only what an earlier run wrote is replaced."""
-    if not os.path.lexists(target):
+    if not target.exists():
         return
     if not target.is_dir():
         raise OutputError(f"{target} is a file: choose another --output")
-    others = sorted(path.name for path in target.iterdir() if path.name not in MODEL_FILES)
-    is_ours = workspace.fingerprint_of("sparse") != ""
-    if others or (not is_ours and any(target.iterdir())):
-        what = others[0] if others else "a model"
+    elsewhere = "choose another --output, or move it away"
+    if others := sorted(path.name for path in target.iterdir() if path.name not in MODEL_FILES):
         raise OutputError(
-            f"{target} holds {what}, which `sirpy sfm` did not make: choose another --output, or "
-            "move it away"
+            f"{target} holds {others[0]}, which `sirpy sfm` did not make: {elsewhere}"
         )
+    if any(target.iterdir()) and _identity(target) not in _written(workspace):
+        raise OutputError(
+            f"{target} holds a model that was not made with {workspace.folder}, or was changed since: {elsewhere}"
+        )
+
+
+def _identity(target: Path) -> str | None:
+    """Of the model in the folder; None where there is none, or only some of its files."""
+    try:
+        return model_identity(target)
+    except InputError:
+        return None
+
+
+def _written(workspace: Workspace) -> list[str]:
+    """Identities of the models that were written last, the last of them perhaps not in full."""
+    try:
+        return read_json(_record(workspace), lambda found: [str(one) for one in found], "delete it")
+    except FileNotFoundError:
+        return []
+
+
+def _remember(identity: str, workspace: Workspace) -> None:
+    write_json(_record(workspace), [*_written(workspace)[-1:], identity])
+
+
+def _record(workspace: Workspace) -> Path:
+    return workspace.folder / "output.json"

@@ -23,7 +23,7 @@ class SfmOptions:
 
     max_image_size: int = 2304  # longest side of the decimated photographs, px
     camera_model: str = "OPENCV"  # COLMAP's name, of the model that comes out
-    camera_per: CameraPer = "auto"  # what shares a camera: lens (EXIF), image, folder, all
+    camera_per: CameraPer = "auto"  # what shares a camera: see lens_groups
     matcher: Matcher = "auto"  # by the number of photographs and their GPS
     mapper: Mapper = "incremental"
     gps: Gps = "auto"  # auto: which pairs are matched; use: also where the cameras are

@@ -1,4 +1,4 @@
-"""The sparse model: read from COLMAP's files, or made from photographs alone.
+"""The sparse model of photographs alone.
 
 Structure from motion sees photographs decimated to `max_size` pixels (the paper's 2304); its model
 is given in native pixels: native_from_decimated is (u, v) -> (u * W / w, v * H / h) in the cameras'
@@ -13,6 +13,7 @@ import os
 import queue
 import sqlite3
 import threading
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -24,7 +25,6 @@ from sirpy.errors import BudgetError, InputError
 from sirpy.files import file_identity, fingerprint, read_json, write_json
 from sirpy.left_out import leave_out, sizes_of_photographs
 from sirpy.memory import gigabytes
-from sirpy.model_files import model_identity, read_model
 from sirpy.native_images import LeftOut
 from sirpy.photographs import check_folders, decimate, photograph_size
 from sirpy.progress import Progress, Steps
@@ -32,15 +32,6 @@ from sirpy.sfm_options import SfmOptions
 from sirpy.structure_from_motion import DecimatedPhotograph, Task, first_octave
 from sirpy.survey import Survey, look_at
 from sirpy.workspace import Workspace, check_writable
-
-__all__ = [
-    "SparseResult",
-    "model_identity",
-    "predicted_peak",
-    "predicted_sparse_peak",
-    "read_model",
-    "sparse",
-]
 
 _PROCESS = 0.15e9  # bytes of an interpreter with pycolmap and rasterio
 _SIFT = {
@@ -132,7 +123,8 @@ def sparse(
     # All that can be refused is refused before anything is written or removed.
     check_folders(images, output)
     check_writable(output)
-    sizes, left_out = sizes_of_photographs(images, progress)
+    sizes, unreadable = sizes_of_photographs(images, progress)
+    _check_count(images, list(sizes), unreadable)
     extractors = _extractors(list(sizes.values()), threads, memory, options.max_image_size)
     survey = look_at(images, sizes, options)
     inputs = fingerprint(
@@ -140,17 +132,14 @@ def sparse(
         {**asdict(options), "rig": survey.rigs},
     )
     if workspace.begin_stage("sparse", inputs) and workspace.sfm_left_out.is_file():
-        return _result(workspace)
+        return _result(workspace, unreadable)
     for note in survey.notes:
         progress.note(note)
+    left_out: list[LeftOut] = []
     photographs = _decimated(
         images, sizes, survey, workspace, options.max_image_size, left_out, progress
     )
-    if len(photographs) < 2:
-        raise InputError(
-            f"{images} has {len(photographs)} usable photograph(s): structure from motion needs "
-            "at least two that overlap" + "".join(f"; {out.reason}" for out in left_out[:3])
-        )
+    _check_count(images, photographs, unreadable + left_out)
     task = Task(
         images=str(images.resolve()),
         decimated=str(workspace.sfm_images.resolve()),
@@ -170,7 +159,19 @@ def sparse(
     write_json(workspace.sfm_components, components)
     # Written last: it says that the stage is complete.
     write_json(workspace.sfm_left_out, [asdict(out) for out in left_out])
-    return SparseResult(workspace.sfm_model, left_out, components)
+    return SparseResult(workspace.sfm_model, _sorted(unreadable + left_out), components)
+
+
+def _check_count(images: Path, photographs: Sequence[object], left_out: list[LeftOut]) -> None:
+    if len(photographs) < 2:
+        raise InputError(
+            f"{images} has {len(photographs)} usable photograph(s): structure from motion needs "
+            "at least two that overlap" + "".join(f"; {out.reason}" for out in left_out[:3])
+        )
+
+
+def _sorted(left_out: list[LeftOut]) -> list[LeftOut]:
+    return sorted(left_out, key=lambda out: out.name)
 
 
 def _name_components(
@@ -195,7 +196,6 @@ def _name_components(
         if photograph.name not in chosen:
             reason = reasons.get(photograph.name, unrelated)
             leave_out(photograph.name, reason, left_out, progress)
-    left_out.sort(key=lambda out: out.name)
 
 
 def _decimated(
@@ -331,8 +331,8 @@ def _rows(database: Path, table: str) -> int:
         return 0  # busy; the next look will tell
 
 
-def _result(workspace: Workspace) -> SparseResult:
-    """What an earlier run made."""
+def _result(workspace: Workspace, unreadable: list[LeftOut]) -> SparseResult:
+    """What an earlier run made, of photographs beside which some cannot be read now."""
     mend = f"delete {workspace.sfm} and run again"
     left_out = read_json(
         workspace.sfm_left_out,
@@ -342,4 +342,6 @@ def _result(workspace: Workspace) -> SparseResult:
     components = read_json(
         workspace.sfm_components, lambda found: [[str(n) for n in one] for one in found], mend
     )
-    return SparseResult(workspace.sfm_model, left_out, components)
+    if not components or not workspace.is_solved:
+        raise InputError(f"{workspace.sfm} is damaged: {mend}")
+    return SparseResult(workspace.sfm_model, _sorted(unreadable + left_out), components)

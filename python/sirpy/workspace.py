@@ -50,7 +50,7 @@ _UNFINISHED = re.compile(r"\..+\.(\d+)\.tmp(\.[^.]*)?", re.DOTALL)
 # patterns.
 _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
     "sparse": ("sfm",),
-    "refine": ("sfm/native", "sfm/refinement.json"),
+    "refine": ("sfm/native", "sfm/.native.patches", "sfm/refinement.json"),
     "cut": (
         "sir.json",
         "native",
@@ -167,7 +167,11 @@ class Workspace:
 
     @property
     def is_refined(self) -> bool:
-        return self.refined_model.is_dir() and self.refinement.is_file()
+        return _is_whole(self.refined_model) and self.refinement.is_file()
+
+    @property
+    def is_solved(self) -> bool:
+        return _is_whole(self.sfm_model)
 
     @property
     def solved_model(self) -> Path:
@@ -534,6 +538,11 @@ def _is_running(process: int) -> bool:
     except (OSError, OverflowError):
         return True
     return True
+
+
+def _is_whole(model: Path) -> bool:
+    """Whether all files of a COLMAP model are there."""
+    return all((model / f"{name}.bin").is_file() for name in ("cameras", "images", "points3D"))
 
 
 def check_writable(folder: Path) -> None:

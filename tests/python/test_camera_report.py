@@ -91,7 +91,7 @@ def dots(svg: str, colour: str) -> np.ndarray:
 def scale(svg: str) -> float:
     """Units of the plot in a pixel, as its legend says."""
     (begin, tip) = drawn(svg, "#1d2530")[0]
-    pixels = re.search(r">([\d.e-]+) pixels</text>", svg)
+    pixels = re.search(r">([\d.e-]+) px</text>", svg)
     assert pixels is not None
     return float((tip - begin)[0]) / float(pixels[1])
 
@@ -145,7 +145,7 @@ def test_the_section_says_what_each_photograph_has(tmp_path: Path) -> None:
     row = re.search(r"<tr><td>&lt;1&gt;\.jpg</td>(.*?)</tr>", page)
     assert row is not None
     assert re.findall(r">([^<]+)</td>", row[1]) == ["4,001", "17", "0.600", "0.100"]
-    before, after = (float(one) for one in re.findall(r"rms of the means ([\d.]+) pixels", page))
+    before, after = (float(one) for one in re.findall(r"rms of the means ([\d.]+) px", page))
     assert before > 4 * after > 0
 
 

@@ -17,10 +17,10 @@ from sirpy.cut_tasks import PixelOptions
 from sirpy.cutting import cut
 from sirpy.errors import InputError
 from sirpy.fusion import FusionOptions, fuse, fused_parts
+from sirpy.model_files import read_model
 from sirpy.native_scene import NativeCamera, read_native_scene
 from sirpy.ply import read_vertices
 from sirpy.rectangle import Grid
-from sirpy.sparse_model import read_model
 from sirpy.synthetic import evaluate, read_truth
 from sirpy.view_selection import views
 from sirpy.windows import read_map, read_map_window, write_map

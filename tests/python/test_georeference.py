@@ -19,9 +19,9 @@ from sirpy.frame import Frame
 from sirpy.georeference import georeference, read_frame, settle_frame
 from sirpy.layout import Region
 from sirpy.model_arrays import SparseModel, read_arrays
+from sirpy.model_files import read_model
 from sirpy.native_scene import read_native_scene
 from sirpy.rectangle import Grid, Rectangle
-from sirpy.sparse_model import read_model
 from sirpy.workspace import Workspace
 from test_camera_positions import Notes
 from test_exif import GPS, with_gps

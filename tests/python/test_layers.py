@@ -41,7 +41,7 @@ LAYERS = """
     mesh_cutting mesh_files point_groups mesh_tiles mesh_matching mesh_joints mesh
     overview cloud_picture explaining residual_plot camera_report survey_pictures survey_report html_report
     deliverables pipeline demo plan_table
-    weights_cli features_cli sfm_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
+    weights_cli sfm_cli features_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 

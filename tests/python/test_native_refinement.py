@@ -11,7 +11,7 @@ import pycolmap
 import pytest
 from camera_errors import judge
 from PIL import Image
-from sirpy.errors import InputError
+from sirpy.errors import InputError, OutputError
 from sirpy.model_arrays import read_arrays
 from sirpy.model_files import model_identity
 from sirpy.native_refinement import Refinement, refine
@@ -88,6 +88,18 @@ def test_the_record_says_what_was_found(scene: Path, refined: Refinement) -> Non
     assert camera.deviations is not None
     # The focal length is known as well as is said, within what relief does to tie points.
     assert abs(camera.params[0] - exact.params[0]) < 10 * camera.deviations[0] + 0.5
+
+
+def test_only_a_model_is_replaced(scene: Path, tmp_path: Path) -> None:
+    model = tmp_path / "model"
+    model.mkdir()
+    (model / "notes.txt").touch()
+    with pytest.raises(OutputError, match=r"holds notes\.txt"):
+        refine(scene / "images", scene / "rough", model)
+    for output in (scene / "images", scene / "rough", scene):
+        with pytest.raises(OutputError, match="would replace"):
+            refine(scene / "images", scene / "rough", output)
+    assert (model / "notes.txt").exists() and any((scene / "images").iterdir())
 
 
 def test_the_same_bytes_for_any_number_of_threads(

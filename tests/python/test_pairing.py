@@ -85,3 +85,13 @@ def test_flight_lines_without_positions_find_each_other_by_their_looks() -> None
 def test_photographs_without_features_are_alike_to_none() -> None:
     empty = np.empty((0, 128), np.uint8)
     assert sequential_pairs([empty] * 3, lambda: None) == [(0, 1), (0, 2), (1, 2)]
+
+
+def test_neighbours_are_the_same_everywhere_on_earth() -> None:
+    """At the antimeridian too, where longitudes jump."""
+
+    def pairs_at(longitude: float) -> list[tuple[int, int]]:
+        line = longitude + 1e-4 * np.arange(-60, 60)
+        return spatial_pairs([(10.0, float(x) if x <= 180 else float(x) - 360) for x in line])
+
+    assert pairs_at(180.00003) == pairs_at(20.00003)

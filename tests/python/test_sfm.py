@@ -120,13 +120,69 @@ def test_refinement_stays_within_the_memory_allowed(photographs: Path, copy: Pat
 def test_what_another_made_is_not_replaced(photographs: Path, made: Path, tmp_path: Path) -> None:
     others = tmp_path / "model"
     shutil.copytree(made, others)
-    with pytest.raises(OutputError, match="holds a model, which `sirpy sfm` did not make"):
+    with pytest.raises(OutputError, match="holds a model that was not made with"):
         sfm(photographs, others, options=SMALL, native=False)
     shutil.copytree(made.with_name("model.sfm"), tmp_path / "model.sfm")
     (others / "notes.txt").touch()
     with pytest.raises(OutputError, match=r"notes\.txt"):
         sfm(photographs, others, options=SMALL, native=False)
     assert (others / "notes.txt").exists()
+
+
+def test_a_model_that_another_tool_put_there_is_not_replaced(
+    photographs: Path, copy: Path, made: Path
+) -> None:
+    other = pycolmap.Reconstruction(made)
+    other.delete_point3D(min(other.point3D_ids()))
+    other.write_binary(copy)
+    with pytest.raises(OutputError, match="or was changed since"):
+        sfm(photographs, copy, options=SMALL, native=False)
+    (copy / "points3D.bin").unlink()
+    with pytest.raises(OutputError, match="or was changed since"):
+        sfm(photographs, copy, options=SMALL, native=False)
+
+
+@pytest.mark.parametrize("link", [False, True], ids=["folder", "link"])
+def test_an_empty_folder_is_filled(
+    photographs: Path, copy: Path, made: Path, tmp_path: Path, link: bool
+) -> None:
+    shutil.rmtree(copy)
+    copy.mkdir()
+    given = copy
+    if link:
+        given = tmp_path / "link"
+        given.symlink_to(copy, target_is_directory=True)
+    sfm(photographs, given, options=SMALL, native=False)
+    assert model_identity(given) == model_identity(made) == model_identity(copy)
+
+
+def test_a_folder_of_one_photograph_does_not_cost_the_model_before(
+    copy: Path, made: Path, tmp_path: Path
+) -> None:
+    write_photographs(tmp_path / "one", ["1.jpg"])
+    with pytest.raises(InputError, match="1 usable photograph"):
+        sfm(tmp_path / "one", copy, options=SMALL, native=False)
+    assert Workspace(copy.with_name("model.sfm")).is_solved
+    assert model_identity(copy) == model_identity(made)
+
+
+def test_photographs_that_cannot_be_read_are_those_of_now(
+    photographs: Path, copy: Path, tmp_path: Path
+) -> None:
+    images = tmp_path / "images"
+    shutil.copytree(photographs, images)
+    for name in ("8.jpg", "9.jpg"):
+        (images / name).write_text("no photograph")
+        result = sfm(images, copy, options=SMALL, native=False)
+        assert [out.name for out in result.left_out] == [name]
+        (images / name).unlink()
+
+
+def test_a_damaged_workspace_is_one_sentence(photographs: Path, copy: Path) -> None:
+    workspace = Workspace(copy.with_name("model.sfm"))
+    workspace.sfm_components.write_text("[]")
+    with pytest.raises(InputError, match=r"model\.sfm/sfm is damaged: delete .* and run again"):
+        sfm(photographs, copy, options=SMALL, native=False)
 
 
 @pytest.mark.parametrize(

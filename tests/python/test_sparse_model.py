@@ -17,9 +17,10 @@ from bumpy_ground import FOCAL, HEIGHT, WIDTH, camera_centres, write_jpeg, write
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from sirpy.errors import BudgetError, InputError
+from sirpy.model_files import model_identity, read_model
 from sirpy.progress import Progress, Steps
 from sirpy.sfm_options import SfmOptions
-from sirpy.sparse_model import SparseResult, model_identity, predicted_peak, read_model, sparse
+from sirpy.sparse_model import SparseResult, predicted_peak, sparse
 from sirpy.workspace import Workspace
 
 SMALL = SfmOptions(max_image_size=400)
