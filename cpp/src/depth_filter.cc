@@ -51,19 +51,25 @@ class Plane {
             (map.window.y0 + y + 0.5 - map.intrinsics(1, 2)) * down_ +
             map.normal[2 * area + pixel_];
     own_ = double(map.depth[pixel_]) * here_;
+    sigma_ = map.sigma ? map.sigma[pixel_] : 0;
   }
 
-  // Whether the pixel (dx, dy) away, of this depth, lies on the plane. The product of the depth and
-  // of normal . ray, which is linear in the pixel, is the same all over the plane.
-  bool Holds(int dx, int dy, float depth, double step) const {
+  // Whether the pixel (dx, dy) away, of this depth and standard deviation, lies on the plane. The
+  // product of the depth and of normal . ray, which is linear in the pixel, is the same all over the
+  // plane.
+  bool Holds(int dx, int dy, float depth, float sigma, double step, double deviations) const {
+    if (!(depth > 0)) return false;
     const double there = here_ + dx * across_ + dy * down_;
-    return depth > 0 && std::abs(depth * there - own_) * focal_ <= step * std::abs(own_);
+    const double off = std::abs(depth * there - own_);
+    if (off * focal_ <= step * std::abs(own_)) return true;
+    const double spread = sigma_ * sigma_ + double(sigma) * sigma;
+    return off * off <= deviations * deviations * spread * there * there;
   }
 
  private:
   double focal_;
   int64_t pixel_;
-  double across_, down_, here_, own_;
+  double across_, down_, here_, own_, sigma_;
 };
 
 void CheckSize(const Rectangle& window) {
@@ -86,6 +92,7 @@ void SpeckleOptions::Validate() const {
     }
   };
   check(step, 1e6, "step");
+  check(deviations, 1e6, "deviations");
   check(double(min_pixels), 1e6, "min_pixels");
 }
 
@@ -94,6 +101,7 @@ std::vector<uint8_t> FindSpeckles(const PlaneMap& map, const SpeckleOptions& opt
   CheckSize(map.window);
   const int64_t width = map.window.width, height = map.window.height;
   const float* depth = map.depth;
+  const auto sigma = [&](int64_t pixel) { return map.sigma ? map.sigma[pixel] : 0.f; };
   PixelSets sets(width * height);
   for (int64_t y = 0; y < height; ++y) {
     for (int64_t x = 0; x < width; ++x) {
@@ -102,8 +110,9 @@ std::vector<uint8_t> FindSpeckles(const PlaneMap& map, const SpeckleOptions& opt
       const Plane plane(map, x, y);
       const auto join = [&](int dx, int dy) {
         const int64_t other = pixel + dy * width + dx;
-        if (plane.Holds(dx, dy, depth[other], options.step) &&
-            Plane(map, x + dx, y + dy).Holds(-dx, -dy, depth[pixel], options.step)) {
+        if (plane.Holds(dx, dy, depth[other], sigma(other), options.step, options.deviations) &&
+            Plane(map, x + dx, y + dy)
+                .Holds(-dx, -dy, depth[pixel], sigma(pixel), options.step, options.deviations)) {
           sets.Join(pixel, other);
         }
       };
@@ -148,7 +157,9 @@ std::vector<float> CoplanarShares(const PlaneMap& map) {
             continue;
           }
           ++inside;
-          coplanar += plane.Holds(dx, dy, map.depth[pixel + dy * width + dx], kCoplanarStep);
+          const int64_t other = pixel + dy * width + dx;
+          coplanar += plane.Holds(dx, dy, map.depth[other], map.sigma ? map.sigma[other] : 0,
+                                  kCoplanarStep, kCoplanarDeviations);
         }
       }
       shares[pixel] = inside > 0 ? float(coplanar) / float(inside) : 0.f;

@@ -3,8 +3,8 @@
 // Geometry: a window of a native image, row-major; depth is z in the camera (any unit; 0 where
 // there is none), normals are 3 planes in the camera frame. Cameras as in patch_match_sir.h. A
 // pixel lies on the plane of another when its depth differs from the plane's on its ray by few
-// pixels' worth of depth (depth / focal length): however steep the surface, it lies on its own
-// plane.
+// pixels' worth of depth (depth / focal length), or by few standard deviations of both depths, which
+// is more where the sources resolve less: however steep the surface, it lies on its own plane.
 #pragma once
 
 #include <cstdint>
@@ -22,6 +22,7 @@ struct PlaneMap {
   Eigen::Matrix3d intrinsics;  // K of the whole native image
   const float* depth = nullptr;
   const float* normal = nullptr;
+  const float* sigma = nullptr;  // standard deviation of the depth; null: exact
 };
 
 // Speckles are small islands of depths that no neighbour shares. Two pixels side by side belong
@@ -31,7 +32,8 @@ struct PlaneMap {
 // One that touches the border of the window is none, whatever it holds: so the answer for a pixel
 // at least `min_pixels` from the border is the same in every window.
 struct SpeckleOptions {
-  double step = 0;         // pixels' worth of depth
+  double step = 0;         // pixels' worth of depth, or
+  double deviations = 0;   // standard deviations, whichever is more
   int64_t min_pixels = 0;  // 0 or 1: there are no speckles
 
   // Throws std::invalid_argument that names field, value and bound.
@@ -45,7 +47,8 @@ std::vector<uint8_t> FindSpeckles(const PlaneMap& map, const SpeckleOptions& opt
 // diagonally, that lie on its plane, within `kCoplanarStep`. Those outside the window do not count;
 // those without depth are not on the plane. 0 where the pixel has no depth.
 constexpr int kCoplanarReach = 4;
-constexpr double kCoplanarStep = 2;  // pixels' worth of depth
+constexpr double kCoplanarStep = 2;        // pixels' worth of depth, or
+constexpr double kCoplanarDeviations = 2;  // standard deviations, whichever is more
 std::vector<float> CoplanarShares(const PlaneMap& map);
 
 }  // namespace sirpy

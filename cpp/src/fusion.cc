@@ -86,7 +86,10 @@ struct ReferenceCamera {
 struct AskedSource {
   AskedSource(const ReferenceCamera& camera, const DepthView& reference, const DepthView& view,
               uint32_t bit)
-      : bit(bit), rank(view.rank), inverse_depth(size_t(view.rectangle.Area())) {
+      : bit(bit),
+        rank(view.rank),
+        inverse_depth(size_t(view.rectangle.Area())),
+        deviation(view.sigma ? inverse_depth.size() : 0) {
     const Eigen::Matrix3d intrinsics = CentredIntrinsics(view);
     const Eigen::Matrix3d rotation = view.rotation * camera.world_from_cam;  // from reference
     const Eigen::Vector3d translation = view.translation - rotation * camera.translation;
@@ -103,17 +106,23 @@ struct AskedSource {
     kernel.height = view.rectangle.height;
     BestKernels().invert(view.depth, int64_t(inverse_depth.size()), inverse_depth.data());
     kernel.inverse_depth = inverse_depth.data();
+    kernel.deviation = view.sigma ? deviation.data() : nullptr;
+    if (view.sigma) {
+      BestKernels().deviations(view.sigma, inverse_depth.data(), int64_t(inverse_depth.size()),
+                               deviation.data());
+    }
   }
 
   uint32_t bit;  // of the blocks
   int rank;
-  std::vector<float> inverse_depth;
+  std::vector<float> inverse_depth, deviation;
   fusion::Source kernel;
 };
 
 // What a pixel gives: nothing, or a point at the mean depth.
 struct Fused {
   std::vector<double> depth;  // 0 where there is no point
+  std::vector<float> sigma;
   std::vector<uint8_t> num_views;
 };
 
@@ -140,6 +149,10 @@ bool ReadRun(const DepthView& reference, const float* normals, int64_t row, int6
     any |= is_depth;
     count->invalid += !is_depth && depth != 0;
     run->inverse_depth[i] = is_depth ? 1.0 / depth : 0.0;
+    run->deviation[i] = reference.sigma && is_depth
+                            ? double(reference.sigma[pixel]) * run->inverse_depth[i] *
+                                  run->inverse_depth[i]
+                            : 1.0;
     for (int axis = 0; axis < 3; ++axis) run->normal[axis][i] = normals[pixel + axis * area];
   }
   return any;
@@ -157,9 +170,17 @@ bool IsDecided(const fusion::Run& run, int needed, const FusionOptions& options)
   return true;
 }
 
+// Whether a pixel is the middle one of the pixel of the coarser level that its depth comes from.
+bool StandsForItsLevel(const Rectangle& window, const ReferenceMaps& maps, int64_t row,
+                       int64_t column) {
+  const int level = maps.level ? maps.level[row * window.width + column] : 0;
+  const int64_t inside = (int64_t(1) << level) - 1, middle = (int64_t(1) << level) / 2;
+  return ((window.x0 + column) & inside) == middle && ((window.y0 + row) & inside) == middle;
+}
+
 // `sources` in the order in which they are asked.
 RowCount FuseRow(const fusion::Kernels& kernels, const DepthView& reference,
-                 const fusion::Reference& camera, const float* normals,
+                 const fusion::Reference& camera, const ReferenceMaps& maps,
                  const std::vector<AskedSource>& sources, const SourceBlocks& blocks,
                  const FusionOptions& options, int64_t row, Fused* fused) {
   RowCount count;
@@ -168,32 +189,43 @@ RowCount FuseRow(const fusion::Kernels& kernels, const DepthView& reference,
       blocks.allowed + (window.y0 + row) / blocks.side * blocks.columns;
   const fusion::Limits limits = {
       options.consistency * options.consistency, options.yield_shift * options.yield_shift,
-      options.see_through * options.see_through, options.yield_footprint};
+      options.see_through * options.see_through, options.agreement * options.agreement,
+      options.yield_footprint};
   fusion::Run run;
   for (int64_t column = 0, end; column < window.width; column = end) {
     const int64_t block = (window.x0 + column) / blocks.side;
     end = std::min({window.width, column + fusion::kRun, (block + 1) * blocks.side - window.x0});
-    if (!ReadRun(reference, normals, row, column, end, &run, &count)) continue;
+    if (!ReadRun(reference, maps.normal, row, column, end, &run, &count)) continue;
     kernels.begin(camera, &run);
     const uint32_t allowed = allowed_of_row[block];
-    const int needed = std::max(1, std::min(options.min_consistent, __builtin_popcount(allowed)));
+    const int most = std::max(1, std::min(options.min_consistent, __builtin_popcount(allowed)));
     for (const AskedSource& source : sources) {
       if (!(allowed & source.bit)) continue;
       kernels.ask(source.kernel, limits, &run);
-      if (source.kernel.may_emit && IsDecided(run, needed, options)) break;
+      if (IsDecided(run, most, options)) break;
     }
     for (int64_t i = 0; i < run.count; ++i) {
       if (!(run.inverse_depth[i] > 0)) continue;
+      const int needed = std::max(1, std::min(most, int(run.num_seeing[i])));
       if (Yields(run, i, needed, options)) {
         ++count.yielded;
       } else if (run.num_consistent[i] < needed) {
         ++count.inconsistent;
       } else if (run.num_through[i] > run.num_consistent[i]) {
         ++count.seen_through;
+      } else if (options.thin && !StandsForItsLevel(window, maps, row, column + i)) {
+        ++count.yielded;
       } else {
         ++count.points;
         const size_t pixel = size_t(row * window.width + column + i);
-        fused->depth[pixel] = (run.num_consistent[i] + 1) / run.sum_inverse_depth[i];
+        const double per_depth = run.sum_weight[i] / run.sum_inverse_depth[i];
+        fused->depth[pixel] = per_depth;
+        // What agrees has mistakes in common: as sure as one of them, not as their mean.
+        const double count = run.num_consistent[i] + 1;
+        fused->sigma[pixel] =
+            reference.sigma
+                ? float(std::sqrt(count / run.sum_weight[i]) * per_depth * per_depth)
+                : 0.f;
         fused->num_views[pixel] = uint8_t(run.num_consistent[i] + 1);
       }
     }
@@ -220,6 +252,8 @@ void EmitRow(const DepthView& reference, const ReferenceCamera& camera, const Re
     point.num_views = fused.num_views[size_t(pixel)];
     point.confidence = maps.confidence ? maps.confidence[pixel] : 0;
     point.gsd = float(depth / focal);
+    point.sigma = fused.sigma[size_t(pixel)];
+    point.level = maps.level ? maps.level[pixel] : 0;
     points->pixel[size_t(next)] = pixel;
     ++next;
   }
@@ -246,6 +280,7 @@ void Check(const DepthView& reference, const std::vector<DepthView>& sources,
 void FusionOptions::Validate() const {
   Require(min_consistent >= 1, "min_consistent", min_consistent, ">= 1");
   Require(consistency > 0, "consistency", consistency, "> 0");
+  Require(agreement >= 0, "agreement", agreement, ">= 0");
   Require(yield_shift >= 0, "yield_shift", yield_shift, ">= 0");
   Require(yield_footprint > 0, "yield_footprint", yield_footprint, "> 0");
   Require(see_through > 0, "see_through", see_through, "> 0");
@@ -272,13 +307,13 @@ FusedPoints Fuse(const DepthView& reference, const ReferenceMaps& maps,
   const fusion::Kernels& kernels = BestKernels();
   const int64_t height = reference.rectangle.height;
   const size_t area = size_t(reference.rectangle.Area());
-  Fused fused{std::vector<double>(area), std::vector<uint8_t>(area)};
+  Fused fused{std::vector<double>(area), std::vector<float>(area), std::vector<uint8_t>(area)};
   std::vector<RowCount> counts(height);
   const int threads = options.threads > 0 ? options.threads : omp_get_num_procs();
 #pragma omp parallel for schedule(dynamic) num_threads(threads)
   for (int64_t y = 0; y < height; ++y) {
     counts[size_t(y)] =
-        FuseRow(kernels, reference, camera.kernel, maps.normal, asked, blocks, options, y, &fused);
+        FuseRow(kernels, reference, camera.kernel, maps, asked, blocks, options, y, &fused);
   }
   asked.clear();
 

@@ -9,6 +9,9 @@
 namespace sirpy::fusion::SIRPY_ISA {
 namespace {
 
+// Standard deviations of another view by those of this one, where it may emit the point instead.
+constexpr double kMuchSurer = 0.5, kAsSure = 1.3;
+
 // Area of the surface that one pixel covers at a depth, where the surface's plane has that distance
 // from the centre of projection.
 inline double Footprint(double depth, double plane_distance, double focal_area) {
@@ -19,6 +22,13 @@ inline double Footprint(double depth, double plane_distance, double focal_area) 
 void Invert(const float* depth, int64_t count, float* inverse_depth) {
   for (int64_t i = 0; i < count; ++i) inverse_depth[i] = IsDepth(depth[i]) ? 1 / depth[i] : 0;
 }
+
+void Deviations(const float* sigma, const float* inverse_depth, int64_t count, float* deviation) {
+  for (int64_t i = 0; i < count; ++i) deviation[i] = sigma[i] * inverse_depth[i] * inverse_depth[i];
+}
+
+// Of the inverse of a variance.
+inline double Weight(double deviation) { return 1 / (deviation * deviation + 1e-60); }
 
 void Begin(const Reference& reference, Run* run) {
   const double* k = reference.inverse_intrinsics;
@@ -36,14 +46,15 @@ void Begin(const Reference& reference, Run* run) {
     run->plane[1][i] = my * slope;
     run->towards[i] = at_pixel / rho;
     run->footprint[i] = Footprint(1 / rho, run->towards[i], reference.focal_area);
-    run->num_consistent[i] = run->num_through[i] = run->has_better[i] = 0;
-    run->sum_inverse_depth[i] = rho;
+    run->num_seeing[i] = run->num_consistent[i] = run->num_through[i] = run->has_better[i] = 0;
+    run->sum_weight[i] = Weight(run->deviation[i]);
+    run->sum_inverse_depth[i] = rho * run->sum_weight[i];
   }
 }
 
 void Ask(const Source& source, const Limits& limits, Run* run) {
-  double h_z[kRun], per_z[kRun], measured[kRun], agreed[kRun];
-  float u[kRun], v[kRun], sampled[kRun];
+  double h_z[kRun], per_z[kRun], measured[kRun], agreed[kRun], theirs[kRun];
+  float u[kRun], v[kRun], sampled[kRun], deviation[kRun];
   const int64_t count = run->count;
   const double* a = source.along;
   const double row_x = a[1] * run->y + a[2], row_y = a[4] * run->y + a[5],
@@ -68,8 +79,16 @@ void Ask(const Source& source, const Limits& limits, Run* run) {
                                                inside ? u[i] : 0.f, inside ? v[i] : 0.f);
     sampled[i] = inside ? rho : 0.f;
     any |= sampled[i] > 0;
+    run->num_seeing[i] += inside & (h_z[i] > 0) ? 1.0 : 0.0;
   }
   if (!any) return;
+  for (int64_t i = 0; i < count; ++i) deviation[i] = 1;
+  if (source.deviation) {
+    for (int64_t i = 0; i < count; ++i) {
+      const int64_t at = int64_t(int(v[i] + 0.5f)) * source.width + int(u[i] + 0.5f);
+      deviation[i] = source.deviation[sampled[i] > 0 ? at : 0];
+    }
+  }
   for (int64_t i = 0; i < count; ++i) measured[i] = h_z[i] > 0 ? double(sampled[i]) : 0.0;
   for (int64_t i = 0; i < count; ++i) {
     const double x = run->first_x + double(int32_t(i)), y = run->y, rho = run->inverse_depth[i];
@@ -78,17 +97,35 @@ void Ask(const Source& source, const Limits& limits, Run* run) {
     const double scale = 1 + source.back[2] * difference * h_z[i];
     const double per_scale = h_z[i] / scale;
     const double step = difference * per_scale;
-    const double dx = step * (source.back[0] - x * source.back[2]);
-    const double dy = step * (source.back[1] - y * source.back[2]);
+    const double along_x = source.back[0] - x * source.back[2];
+    const double along_y = source.back[1] - y * source.back[2];
+    const double dx = step * along_x, dy = step * along_y;
     const double shift = dx * dx + dy * dy;
+    // Standard deviations along the ray of the reference, and what both make of the shift.
+    const double own = run->deviation[i], there = double(deviation[i]) * per_scale;
+    const double moved = own * per_z[i] * per_scale;
+    const double spread = source.deviation ? (there * there + moved * moved) *
+                                                 (along_x * along_x + along_y * along_y)
+                                           : 0.0;
+    const double tolerated = limits.agreement * spread;
     // The source's point lies beside the ray: slide it along the surface onto the ray.
     const double on_ray = measured[i] * per_scale - (run->plane[0][i] * dx + run->plane[1][i] * dy);
     const double seen = (measured[i] > 0) & (scale > 0) & (on_ray > 0) & (rho > 0) ? 1.0 : 0.0;
-    const double agrees = shift < limits.consistency ? seen : 0.0;
+    const double agrees =
+        shift < (tolerated > limits.consistency ? tolerated : limits.consistency) ? seen : 0.0;
+    const double weight = agrees > 0 ? Weight(source.deviation ? there : 1.0) : 0.0;
     run->num_consistent[i] += agrees;
-    run->sum_inverse_depth[i] += agrees > 0 ? on_ray : 0.0;
-    run->num_through[i] += (difference < 0) & (shift > limits.see_through) ? seen : 0.0;
-    agreed[i] = shift < limits.yield_shift ? agrees : 0.0;
+    run->sum_inverse_depth[i] += agrees > 0 ? on_ray * weight : 0.0;
+    run->sum_weight[i] += weight;
+    run->num_through[i] +=
+        (difference < 0) & (shift > limits.see_through) & (shift > 2 * tolerated) ? seen : 0.0;
+    agreed[i] = shift < (spread > limits.yield_shift ? spread : limits.yield_shift) ? agrees : 0.0;
+    theirs[i] = source.deviation ? there / own : 1.0;
+  }
+  // Much surer than this view: its place in the order does not matter.
+  for (int64_t i = 0; i < count; ++i) {
+    const bool surer = (agreed[i] > 0) & (theirs[i] < kMuchSurer);
+    run->has_better[i] = surer ? 1.0 : run->has_better[i];
   }
   if (!source.may_emit) return;
   for (int64_t i = 0; i < count; ++i) {
@@ -96,8 +133,9 @@ void Ask(const Source& source, const Limits& limits, Run* run) {
     const double distance = run->towards[i] - (source.centre[0] * run->normal[0][i] +
                                                source.centre[1] * run->normal[1][i] +
                                                source.centre[2] * run->normal[2][i]);
-    const double theirs = Footprint(h_z[i] / rho, distance, source.focal_area);
-    const double better = theirs < limits.yield_footprint * run->footprint[i] ? agreed[i] : 0.0;
+    const double footprint = Footprint(h_z[i] / rho, distance, source.focal_area);
+    const bool fine = footprint < limits.yield_footprint * run->footprint[i];
+    const double better = fine & (theirs[i] < kAsSure) ? agreed[i] : 0.0;
     run->has_better[i] = better > 0 ? 1.0 : run->has_better[i];
   }
 }
@@ -105,6 +143,6 @@ void Ask(const Source& source, const Limits& limits, Run* run) {
 }  // namespace
 
 extern const Kernels kKernels;
-const Kernels kKernels = {Invert, Begin, Ask};
+const Kernels kKernels = {Invert, Deviations, Begin, Ask};
 
 }  // namespace sirpy::fusion::SIRPY_ISA

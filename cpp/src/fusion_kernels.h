@@ -24,11 +24,13 @@ struct Source {
   double focal_area;
   bool may_emit;               // a pixel may leave its point to this view
   const float* inverse_depth;  // of its window, row-major, 0 where there is none
+  const float* deviation;      // its standard deviation; null: all are equally sure
   int64_t x0, y0, width, height;
 };
 
 struct Limits {
   double consistency, yield_shift, see_through;  // pixels, squared
+  double agreement;                              // standard deviations, squared
   double yield_footprint;
 };
 
@@ -38,17 +40,22 @@ struct Run {
   double first_x, y;
   int64_t count;
   double inverse_depth[kRun];
+  double deviation[kRun];  // its standard deviation; 1 where all are equally sure
   double normal[3][kRun];  // camera frame
   double plane[2][kRun];   // slopes of inverse depth
   double towards[kRun];    // normal . point
   double footprint[kRun];  // area of the surface that the pixel covers
   // What the sources have said so far.
-  double num_consistent[kRun], num_through[kRun], sum_inverse_depth[kRun];
-  double has_better[kRun];  // 1: a view that may emit the point sees it finely enough
+  double num_seeing[kRun], num_consistent[kRun], num_through[kRun];
+  double sum_inverse_depth[kRun], sum_weight[kRun];
+  double has_better[kRun];  // 1: a view that may emit the point knows it well enough
 };
 
 struct Kernels {
   void (*invert)(const float* depth, int64_t count, float* inverse_depth);  // 0 of what is none
+  // Standard deviations of inverse depths from those of depths.
+  void (*deviations)(const float* sigma, const float* inverse_depth, int64_t count,
+                     float* deviation);
   // Fills plane, towards and footprint from inverse depth and normal, and begins the counts.
   void (*begin)(const Reference&, Run*);
   void (*ask)(const Source&, const Limits&, Run*);

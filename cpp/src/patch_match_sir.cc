@@ -20,6 +20,7 @@ namespace sirpy {
 using patch_match::Assessment;
 using patch_match::BestKernels;
 using patch_match::Block;
+using patch_match::BothPlanes;
 using patch_match::KernelOptions;
 using patch_match::Kernels;
 using patch_match::kMaxSources;
@@ -39,14 +40,16 @@ void Require(bool satisfied, const std::string& field, double value,
   RequireOption(satisfied, "PatchMatchOptions", field, value, field + " " + constraint);
 }
 
-KernelOptions MakeKernelOptions(const PatchMatchOptions& options) {
+KernelOptions MakeKernelOptions(const PatchMatchOptions& options, const float* noise) {
   KernelOptions kernel;
+  kernel.noise = noise;
   kernel.color_sigma = float(options.color_sigma);
   kernel.space_sigma = float(options.space_sigma);
   kernel.geometric_weight = float(options.geometric_weight);
   kernel.max_geometric_error = float(options.max_geometric_error);
   kernel.consistency = float(options.consistency);
-  kernel.prior_variance = float(options.prior_variance);
+  kernel.agreement = float(options.agreement);
+  kernel.prior_weight = float(options.prior_weight);
   kernel.top_views = options.top_views;
   kernel.refine = options.iterations > 0;
   return kernel;
@@ -144,6 +147,7 @@ LevelData MakeLevel(const ViewWindow& reference, const std::vector<ViewWindow>& 
     SetWarp(reference, view, source.a, source.b);
     SetWarp(view, reference, source.back_a, source.back_b);
     source.inverse_depth = view.inverse_depth;
+    source.deviation = view.deviation;
   }
   return data;
 }
@@ -185,17 +189,25 @@ void Sweep(const Level& level, const KernelOptions& options, int iterations, Pla
   }
 }
 
-// Inverse depth that the first candidate of `source` gives each pixel.
-std::vector<float> Prior(const Level& level, const PlaneSource& source) {
+// What the start knows of each pixel.
+struct PriorMaps {
+  std::vector<float> rho, deviation;
+  std::vector<uint8_t> level;
+};
+
+PriorMaps MakePrior(const Level& level, const StartPlanes& start) {
   const size_t width = size_t(level.width), threads = size_t(omp_get_max_threads());
-  std::vector<float> prior(width * level.height), slopes(2 * width * threads);
+  const size_t size = width * level.height;
+  PriorMaps prior{std::vector<float>(size), std::vector<float>(size), std::vector<uint8_t>(size)};
+  std::vector<float> slopes(2 * width * threads);
   std::vector<uint32_t> views(width * threads);
 #pragma omp parallel for
   for (int y = 0; y < level.height; ++y) {
-    const size_t thread = size_t(omp_get_thread_num());
+    const size_t thread = size_t(omp_get_thread_num()), row = width * y;
     float* own = slopes.data() + 2 * width * thread;
-    source.FillRow(
-        y, 0, {prior.data() + width * y, own, own + width, nullptr, views.data() + width * thread});
+    start.FillRow(y, 0,
+                  {prior.rho.data() + row, own, own + width, nullptr, views.data() + width * thread});
+    start.FillKnownRow(y, prior.deviation.data() + row, prior.level.data() + row);
   }
   return prior;
 }
@@ -211,8 +223,11 @@ PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneA
   result.num_seeing.resize(size);
   result.num_consistent.resize(size);
   result.texture.resize(size);
-  Assessment assessment{result.cost.data(), result.texture.data(), result.num_seeing.data(),
-                        result.num_consistent.data()};
+  result.sigma.resize(size);
+  result.level.resize(size);
+  Assessment assessment{result.cost.data(),           result.texture.data(),
+                        result.num_seeing.data(),     result.num_consistent.data(),
+                        result.sigma.data(),          result.level.data()};
 #pragma omp parallel for schedule(dynamic)
   for (int y = 0; y < level.height; ++y) {
     kernels.finish_row(level, options, &planes, &assessment, y);
@@ -220,8 +235,10 @@ PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneA
   return result;
 }
 
-// Depths take the place of inverse depths. Of `level` only the camera and the window are read.
-void SetDepths(const Level& level, PlaneArrays* arrays, PatchMatchResult* into) {
+// Depths take the place of inverse depths, also of their deviations; levels that of being held. Of
+// `level` only the camera and the window are read. `prior_level`: of what is held.
+void SetDepths(const Level& level, int own_level, const std::vector<uint8_t>& prior_level,
+               PlaneArrays* arrays, PatchMatchResult* into) {
   const Planes planes = arrays->View();
   const size_t size = arrays->rho.size();
   PatchMatchResult& result = *into;
@@ -233,9 +250,12 @@ void SetDepths(const Level& level, PlaneArrays* arrays, PatchMatchResult* into) 
       float& depth = planes.rho[at];
       // The worst cost means that no source could be compared: there is no depth.
       if (result.num_seeing[at] == 0 || planes.cost[at] > 2 * patch_match::kWorstCost) {
-        depth = 0;
+        depth = result.sigma[at] = 0;
+        result.level[at] = uint8_t(own_level);
         continue;
       }
+      result.level[at] = result.level[at] ? prior_level[at] : uint8_t(own_level);
+      result.sigma[at] /= depth * depth;
       const float dx = float(level.x0 + x) - level.cx, dy = float(level.y0 + y) - level.cy;
       const Eigen::Vector3f inward(level.fx * planes.gx[at], level.fy * planes.gy[at],
                                    planes.rho[at] - planes.gx[at] * dx - planes.gy[at] * dy);
@@ -261,6 +281,7 @@ void LeaveOutOthers(const StartMaps& start, const Rectangle& window, PatchMatchR
       if (std::abs(result->depth[at] - row[x]) <= kRounding * row[x]) continue;
       result->depth[at] = 0;
       for (int i = 0; i < 3; ++i) result->normal[at + i * size] = 0;
+      result->sigma[at] = 0;
       result->num_consistent[at] = 0;
     }
   }
@@ -349,7 +370,9 @@ void PatchMatchOptions::Validate() const {
   Require(geometric_weight * max_geometric_error < 2, "geometric_weight", geometric_weight,
           "< 2 / max_geometric_error");
   Require(consistency > 0, "consistency", consistency, "> 0");
-  Require(prior_variance > 0, "prior_variance", prior_variance, "> 0");
+  Require(prior_weight >= 0, "prior_weight", prior_weight, ">= 0");
+  Require(agreement >= 0, "agreement", agreement, ">= 0");
+  for (const double variance : noise) Require(variance > 0, "noise", variance, "> 0");
   Require(threads >= 0, "threads", threads, ">= 0");
 }
 
@@ -363,27 +386,34 @@ PatchMatchResult PatchMatchSir(const ViewWindow& reference, const std::vector<Vi
         "PatchMatchSir: without a sweep there must be a start of the same level");
   }
   const ThreadCount threads(options.threads);
-  const KernelOptions kernel = MakeKernelOptions(options);
+  const std::vector<float> noise(options.noise.begin(), options.noise.end());
+  KernelOptions kernel = MakeKernelOptions(options, noise.data());
+  // Planes that are only judged are as sure as they were.
+  kernel.carry = options.iterations == 0 && start->sigma != nullptr;
   LevelData data = MakeLevel(reference, sources, blocks, options);
   PlaneArrays planes;
-  std::vector<float> prior;
+  PriorMaps prior;
+  data.level.everywhere = options.everywhere || !start;
+  const RandomPlanes random(data.level, points, 1.0 / (1 << reference.level));
   if (start) {
     const StartPlanes before(data.level, *start, start->level > reference.level);
-    prior = Prior(data.level, before);
-    data.level.prior = prior.data();
-    planes = Initialise(data.level, kernel, before);
+    if (start->sigma) {
+      prior = MakePrior(data.level, before);
+      data.level.prior = prior.rho.data();
+      data.level.prior_deviation = prior.deviation.data();
+    }
+    planes = data.level.everywhere ? Initialise(data.level, kernel, BothPlanes(before, random))
+                                   : Initialise(data.level, kernel, before);
   } else {
-    data.level.everywhere = true;
-    planes = Initialise(data.level, kernel,
-                        RandomPlanes(data.level, points, 1.0 / (1 << reference.level)));
+    planes = Initialise(data.level, kernel, random);
   }
   Sweep(data.level, kernel, options.iterations, &planes);
   PatchMatchResult result = Assess(data.level, kernel, &planes);
   // The pixels are not needed any more, and the largest maps are still to come.
   const Level level = data.level;
   data = LevelData();
-  prior = std::vector<float>();
-  SetDepths(level, &planes, &result);
+  prior.rho = prior.deviation = std::vector<float>();
+  SetDepths(level, reference.level, prior.level, &planes, &result);
   if (options.iterations == 0) LeaveOutOthers(*start, reference.rectangle, &result);
   return result;
 }
@@ -394,9 +424,9 @@ int PatchMatchMargin(int iterations) {
 }
 
 PatchMatchMemory PatchMatchBytesPerPixel() {
-  // Reference: planes 20, prior 4, padded grey 1, assessment 10; source: quads 4. At the end
-  // planes, assessment and normals.
-  return {35, 4, 42};
+  // Reference: planes 20, prior 9, padded grey 1, assessment 15; source: quads 4. At the end
+  // planes, assessment, levels of the prior and normals.
+  return {45, 4, 48};
 }
 
 }  // namespace sirpy

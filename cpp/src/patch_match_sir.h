@@ -15,6 +15,7 @@
 // window, nor with the number of threads or the instruction set.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -34,8 +35,13 @@ struct PatchMatchOptions {
   double space_sigma = 3;   // pixels: bilateral weight
   double geometric_weight = 0.2;   // cost of one pixel of disagreement with a source's depth
   double max_geometric_error = 3;  // pixels
-  double consistency = 1;          // pixels: two depth maps agree
-  double prior_variance = 4;  // grey levels squared: below this texture the start keeps its say
+  double consistency = 1;          // pixels: two depth maps agree, and
+  double agreement = 2.5;          // standard deviations: the larger of both
+  // Grey levels squared: the variance of noise, by 16 steps of brightness. A patch that varies no
+  // more keeps the depth of the start.
+  std::array<double, 16> noise = {2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2};
+  double prior_weight = 1;    // of the depth of the start, by its standard deviation
+  bool everywhere = false;    // also with a start: depths at random are tried beside it
   uint64_t seed = 0;          // of the run, the native image and the pass
   int threads = 0;            // 0: one for each core
 
@@ -54,6 +60,7 @@ struct ViewWindow {
   const uint8_t* grey = nullptr;  // null: a source that sees nothing of this window
   // Of sources in a geometric pass: 1 / depth, 0 where there is none.
   const float* inverse_depth = nullptr;
+  const float* deviation = nullptr;  // standard deviation of the inverse depth; null: exact
 };
 
 // What is known of blocks of the reference before it is looked at: row-major, from the corner of
@@ -80,6 +87,8 @@ struct StartMaps {
   const float* depth = nullptr;     // 0 where there is none
   const float* normal = nullptr;    // 3 planes, camera frame
   const uint32_t* views = nullptr;  // bit j: source j was used
+  const float* sigma = nullptr;     // standard deviation of the depth; null: not known
+  const uint8_t* level_of = nullptr;  // of the pixels that the depth comes from; null with sigma
 };
 
 // Maps of the reference window, row-major.
@@ -91,6 +100,8 @@ struct PatchMatchResult {
   std::vector<float> texture;           // variance of the patch, grey levels squared
   std::vector<uint8_t> num_seeing;      // sources whose image holds the patch
   std::vector<uint8_t> num_consistent;  // sources whose depth agrees (geometric pass)
+  std::vector<float> sigma;             // standard deviation of the depth
+  std::vector<uint8_t> level;           // of the pixels that the depth comes from
 };
 
 // Without `start` the pass begins from `points` and at random. Throws std::invalid_argument for

@@ -24,6 +24,8 @@ POINT = np.dtype(
     + [("views", "u1")]  # that agree
     + [("confidence", "<f4")]  # 0 to 1; 0 where stereo has none
     + [("gsd", "<f4")]  # of the pixel that the point is of, unit of the frame
+    + [("sigma", "<f4")]  # standard deviation along the ray, unit of the frame; 0 where stereo has none
+    + [("level", "<i4")]  # of the pyramid whose pixels gave the depth: 2^level native pixels each
 )
 Points = npt.NDArray[np.void]
 
@@ -95,7 +97,7 @@ def write_ply(path: Path, parts: Sequence[Path], frame: Frame) -> int:
     """
     # One part is open at a time: there may be more of them than a process may open files.
     count = sum(len(_open(part)) for part in parts)
-    kind = {"<f8": "double", "<f4": "float", "|u1": "uchar"}
+    kind = {"<f8": "double", "<f4": "float", "|u1": "uchar", "<i4": "int"}
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
     header += [f"property {kind[POINT[name].str]} {name}" for name in POINT.names or ()]
     with written_whole(path) as temporary, temporary.open("wb") as file:

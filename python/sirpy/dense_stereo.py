@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.depth_search import searched_around, searched_everywhere
 from sirpy.errors import BudgetError
 from sirpy.files import fingerprint
 from sirpy.filtering import Estimate, FilterOptions, Reason, filter_depths
@@ -30,6 +31,7 @@ from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
+from sirpy.settling import is_supported
 from sirpy.stereo_backend import (
     DepthMap,
     DepthRange,
@@ -53,22 +55,22 @@ from sirpy.stereo_passes import (
     units,
     write_planes,
 )
-from sirpy.view_fields import FieldSource
+from sirpy.view_fields import FieldSource, ViewField
 from sirpy.view_selection import Views, read_views
-from sirpy.view_windows import source_windows
+from sirpy.view_windows import source_windows, top_level
 from sirpy.windows import read_map, read_mask_window, write_map
 from sirpy.workspace import Workspace
 
 
 def stereo_passes(
-    coarsest: int, options: StereoOptions, scratch: Path | None
+    coarsest: int, top: int, options: StereoOptions, scratch: Path | None
 ) -> list[StereoBackend]:
     """The passes of a backend; where the last does not look at the sources' depths, they are judged.
 
     Raises:
         InputError: there is no such backend, or it cannot work here.
     """
-    found = make_backends(Setup(coarsest, options, scratch))
+    found = make_backends(Setup(coarsest, options, scratch, top))
     return found if found[-1].is_last else [*found, Judge(options)]
 
 
@@ -109,16 +111,20 @@ def stereo(
     progress = progress or Progress()
     views = read_views(workspace)
     # What can be refused is refused before earlier maps are removed.
-    passes = stereo_passes(views.coarsest, options, workspace.passes)
+    top = top_level(((one.width, one.height) for one in workspace.natives), views.coarsest)
+    passes = stereo_passes(views.coarsest, top, options, workspace.passes)
     what = {
         key: value for key, value in asdict(options).items() if key not in ("threads", "device")
     } | {"backend": backend_identity(options.backend)}
     workspace.begin_stage("stereo", fingerprint(workspace.fingerprint_of("views"), what))
     if not all(_are_there(workspace.stereo_maps(sub)) for _, sub in workspace.sub_images()):
         estimator = _Estimator(workspace, views, options)
-        before = None
+        before: StereoBackend | None = None
+        coarser: StereoBackend | None = None  # the last pass of the level above
         for of_pass in passes:
-            estimator.run(of_pass, before, progress)
+            if before and before.level > of_pass.level:
+                coarser = before
+            estimator.run(of_pass, before, coarser, progress)
             before = of_pass
     shutil.rmtree(workspace.passes, ignore_errors=True)
 
@@ -131,17 +137,30 @@ class _Estimator:
         self._scene = read_native_scene(workspace)
         self._natives = {native.name: native for native in workspace.natives}
         self._covered = {native.name: native.covered for native in workspace.natives}
+        self._fields: dict[tuple[str, bool], ViewField] = {}
+        self._whole: PassMaps | None = None  # what the last pass over whole photographs found
+        self._coarser: PassMaps | None = None
 
-    def run(self, of_pass: StereoBackend, before: StereoBackend | None, progress: Progress) -> None:
-        """Estimates all units that are not done yet; `before` is the pass that they start from."""
+    def run(
+        self,
+        of_pass: StereoBackend,
+        before: StereoBackend | None,
+        coarser: StereoBackend | None,
+        progress: Progress,
+    ) -> None:
+        """Estimates all units that are not done yet; `before` is the pass that they start from, `coarser` the last
+        of the next coarser level."""
         coarsest = self._views.coarsest
         maps = PassMaps(self._workspace, before, coarsest) if before else None
+        self._coarser = PassMaps(self._workspace, coarser, coarsest) if coarser else None
+        if before and before.level == coarsest:
+            self._whole = maps
         everything = list(units(self._workspace.natives, of_pass.level, coarsest))
         todo = [unit for unit in everything if not _are_there(self._outputs(unit, of_pass))]
         if len(todo) < len(everything):
             done = len(everything) - len(todo)
             progress.note(f"{of_pass.title}: {done} of {len(everything)} are done already")
-        noun = "photograph" if of_pass.level == coarsest else "sub-image"
+        noun = "photograph" if of_pass.level >= coarsest else "sub-image"
         with progress.stage(of_pass.title, len(todo), noun) as step:
             for unit, following in zip_longest(todo, todo[1:]):
                 with self._prepared(following, of_pass, maps):
@@ -185,7 +204,7 @@ class _Estimator:
             found = of_pass.estimate(
                 *self._given(native, window, of_pass, before),
                 self._depth_range(native, window, of_pass.level),
-                Prior(self._sparse_points(native), before),
+                Prior(self._sparse_points(native), before, self._coarser),
             )
             check_depth_map(found, window, of_pass)
             return found
@@ -217,7 +236,7 @@ class _Estimator:
     ) -> tuple[View, list[View]]:
         """The window of the reference and those of its sources; pixels are read when they are used."""
         level = of_pass.level
-        field = self._views.fields[native.name]
+        field = self._field(native, level)
         windows = source_windows(
             self._scene,
             field,
@@ -234,7 +253,25 @@ class _Estimator:
 
     def _depth_range(self, native: NativeImage, window: Rectangle, level: int) -> DepthRange:
         covered = native_pixels(window, level, native.rectangle)
-        return DepthRange(self._views.fields[native.name], covered)
+        return DepthRange(self._field(native, level), covered)
+
+    def _field(self, native: NativeImage, level: int) -> ViewField:
+        """Where a level searches: everywhere, or around what the passes over whole photographs have found."""
+        whole = level >= self._views.coarsest
+        key = native.name, whole
+        if key not in self._fields:
+            field, seen = self._views.fields[native.name], self._scene.observations[native.name]
+            if whole:
+                field = searched_everywhere(field, seen)
+            elif self._whole is not None and self._whole.has("counts"):
+                least = self._options.min_consistent
+                extent = at_level(native.rectangle, self._whole.level)
+                counts = self._whole.read(native.name, extent, "counts")
+                sure = is_supported(counts >> np.uint32(8), counts & np.uint32(255), least)
+                depth = self._whole.read(native.name, extent, "depth")
+                field = searched_around(field, depth, sure, self._whole.level)
+            self._fields[key] = field
+        return self._fields[key]
 
     @contextmanager
     def _prepared(
@@ -274,7 +311,6 @@ class _Estimator:
             camera.intrinsics,
             window,
             read_mask_window(workspace, unit.native.name, window),
-            offered,
             self._options,
             of_pass.confidence,
         )
@@ -283,6 +319,8 @@ class _Estimator:
         missing = reason[kept] != 0
         write_map(workspace.reason_map(sub_image), reason[kept].astype(np.float32))
         write_map(workspace.confidence_map(sub_image), confidence[kept])
+        write_map(workspace.sigma_map(sub_image), np.where(missing, np.float32(0), found.sigma[kept]))
+        write_map(workspace.level_map(sub_image), found.level[kept].astype(np.float32))
         normal = np.where(missing, np.float32(0), estimate.normal[(slice(None), *kept)])
         write_map(workspace.normal_map(sub_image, "geometric"), normal)
         depth = np.where(missing, np.float32(0), estimate.depth[kept])
@@ -295,12 +333,14 @@ class _Estimator:
         level: int,
         index: int = -1,
         depth: npt.NDArray[np.float32] | None = None,
+        sigma: npt.NDArray[np.float32] | None = None,
     ) -> View:
         def read(rectangle: Rectangle, pixels: Literal["grey", "color"]) -> npt.NDArray[np.uint8]:
             return read_pixels(self._workspace, native, rectangle, level, pixels)
 
         extent = at_level(native.covered, level)
-        return View(self._scene.cameras[native.name], window, level, extent, read, index, depth)
+        camera = self._scene.cameras[native.name]
+        return View(camera, window, level, extent, read, index, depth, sigma)
 
     def _source(
         self,
@@ -317,8 +357,12 @@ class _Estimator:
         if not inside.area:
             return None
         rectangle = inside.aligned(of_pass.step)
-        depth = depths.read_coarser(native, rectangle, source.level) if depths else None
-        return self._view(native, rectangle, level, index, depth)
+        depth = sigma = None
+        if depths:
+            depth = depths.read_coarser(native, rectangle, source.level)
+            if depths.has("sigma"):
+                sigma = depths.read_coarser(native, rectangle, source.level, "sigma")
+        return self._view(native, rectangle, level, index, depth, sigma)
 
     def _sparse_points(self, native: NativeImage) -> npt.NDArray[np.float64]:
         seen = self._scene.observations[native.name]

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from sirpy import _core
 from sirpy.errors import InputError
@@ -38,6 +39,7 @@ class DepthMaps:
         self.unused: list[str] = []
         self._normals: set[str] = set()  # sub-images that have a map of them
         self._confidences: set[str] = set()
+        self._sigmas: set[str] = set()
         for native in workspace.natives:
             sound = tuple(sub for sub in native.sub_images if self._is_sound(sub))
             if sound:
@@ -45,6 +47,11 @@ class DepthMaps:
                 for sub in sound:
                     self._look_for(self._normals, sub, workspace.normal_map(sub, self._pass), 3)
                     self._look_for(self._confidences, sub, workspace.confidence_map(sub), 1)
+                    self._look_for(self._sigmas, sub, workspace.sigma_map(sub), 1)
+        # Sure and unsure depths can be told apart where all of them say how sure they are.
+        self.has_sigma = all(
+            sub.name in self._sigmas for native in self.natives.values() for sub in native.sub_images
+        )
         if not self.natives:
             reason = f": {self.left_out[0].reason}" if self.left_out else ""
             raise InputError(
@@ -59,6 +66,8 @@ class DepthMaps:
                 found.append(file_identity(self._workspace.depth_map(sub, self._pass)))
                 if sub.name in self._normals:
                     found.append(file_identity(self._workspace.normal_map(sub, self._pass)))
+                if self.has_sigma:
+                    found.append(file_identity(self._workspace.sigma_map(sub)))
                 if sub.name in self._confidences:
                     found.append(file_identity(self._workspace.confidence_map(sub)))
         return found
@@ -66,6 +75,19 @@ class DepthMaps:
     def depth(self, name: str, window: Rectangle) -> FloatMap:
         """(height, width) of a window of a native image; 0 where no map holds any."""
         return read_map_window(self._workspace, self.natives[name], window, "depth", self._pass)
+
+    def sigma(self, name: str, window: Rectangle) -> FloatMap | None:
+        """Standard deviations of the depths, (height, width); None where stereo has not given all of them."""
+        if not self.has_sigma:
+            return None
+        return read_map_window(self._workspace, self.natives[name], window, "sigma")
+
+    def level(self, name: str, window: Rectangle) -> npt.NDArray[np.uint8] | None:
+        """Levels of the pyramid that the depths come from, (height, width); None without sigma."""
+        if not self.has_sigma:
+            return None
+        level = read_map_window(self._workspace, self.natives[name], window, "level")
+        return level.astype(np.uint8)
 
     def normal(
         self, name: str, sub_image: SubImage, window: Rectangle, intrinsics: Floats, threads: int

@@ -21,6 +21,7 @@ FloatMap = npt.NDArray[np.float32]
 ByteMap = npt.NDArray[np.uint8]
 
 _COPLANAR_REACH = 4  # pixels (kCoplanarReach in depth_filter.cc)
+_PATCH = 8  # pixels from one side of a patch to the other
 _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the maps
 
 # Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
@@ -53,6 +54,7 @@ class Estimate:
     num_seeing: ByteMap  # sources whose window holds the patch
     num_consistent: ByteMap  # sources whose own depth agrees within a pixel
     texture: FloatMap  # variance of the grey levels in the patch
+    sigma: FloatMap  # standard deviation of the depth
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,12 @@ class FilterOptions:
     max_angle: float = 80.0  # degrees between ray and normal
     speckle_pixels: int = 6  # smaller islands are left out; at most the halo
     speckle_consistent: int = 3  # sources that must agree on a pixel of an island all the same
-    speckle_step: float = 1.5  # pixels' worth of depth: neighbours of an island lie on one plane
+    # Neighbours of an island lie on one plane: pixels' worth of depth, or standard deviations.
+    speckle_step: float = 1.5
+    speckle_deviations: float = 3.0
+    # Standard deviations from one side of a patch to the other, as an angle against its pixels: where normals are
+    # less sure, no surface is called grazing.
+    max_slope_deviation: float = 0.5
 
     def __post_init__(self) -> None:
         """Raises InputError for an option out of range."""
@@ -82,6 +89,8 @@ class FilterOptions:
             "speckle_pixels": (0, 100_000),
             "speckle_consistent": (0, 33),
             "speckle_step": (0, 1000),
+            "speckle_deviations": (0, 1000),
+            "max_slope_deviation": (0, 1000),
         }
         check_bounds(self, bounds)
 
@@ -104,7 +113,6 @@ def filter_depths(
     intrinsics: npt.NDArray[np.float64],
     window: Rectangle,
     masked: npt.NDArray[np.bool_],
-    num_sources: int | ByteMap,
     options: FilterOptions,
     coefficients: npt.NDArray[np.float64] = CONFIDENCE,
 ) -> tuple[ByteMap, FloatMap]:
@@ -114,7 +122,6 @@ def filter_depths(
         intrinsics: (3, 3) of the whole native image.
         window: of the estimate, in native pixels.
         masked: (height, width), True where the photograph is not to be used.
-        num_sources: that a pixel was offered, for all or for each: no more can agree than there are.
         coefficients: of the confidence.
 
     Returns:
@@ -124,21 +131,23 @@ def filter_depths(
     shape = estimate.depth.shape
     reason = np.zeros(shape, np.uint8)
     confidence = np.zeros(shape, np.float32)
-    offered = np.broadcast_to(np.asarray(num_sources, np.uint8), shape)
     coplanar = coplanar_shares(estimate, intrinsics, window)
     for rows in _bands(shape):
         part = _rows_of(estimate, rows)
         cosine = cosines(part.normal, intrinsics, _rows_of_window(window, rows))
-        reason[rows] = _reasons(part, cosine, masked[rows], offered[rows], options)
+        sure = _slope_deviation(part, intrinsics[0, 0]) <= options.max_slope_deviation
+        reason[rows] = _reasons(part, cosine, sure, masked[rows], options)
         confidence[rows] = probability(evidence(part, coplanar[rows]), coefficients)
     kept = np.where(reason == 0, estimate.depth, np.float32(0))
     speckle = _core.find_speckles(
         kept,
         estimate.normal,
+        estimate.sigma,
         intrinsics=intrinsics,
         x0=window.x0,
         y0=window.y0,
         step=options.speckle_step,
+        deviations=options.speckle_deviations,
         min_pixels=options.speckle_pixels,
     )
     unsure = estimate.num_consistent < options.speckle_consistent
@@ -150,20 +159,21 @@ def filter_depths(
 def _reasons(
     estimate: Estimate,
     cosine: FloatMap,
+    sure: npt.NDArray[np.bool_],
     masked: npt.NDArray[np.bool_],
-    num_sources: ByteMap,
     options: FilterOptions,
 ) -> ByteMap:
     """Everything but speckles, which are found among what is left."""
     agreeing = estimate.num_consistent
+    needed = np.minimum(estimate.num_seeing, options.min_consistent)
     not_seen = (estimate.num_seeing == 0) | ~(estimate.depth > 0)
     reasons = {
         Reason.NOT_SEEN: not_seen,
         Reason.HIGH_COST: (estimate.cost > options.max_cost)
         & (agreeing < options.costly_consistent),
-        Reason.INCONSISTENT: agreeing < np.minimum(num_sources, options.min_consistent),
+        Reason.INCONSISTENT: agreeing < needed,
         Reason.MASKED: masked,
-        Reason.GRAZING: ~not_seen & (cosine < np.cos(np.radians(options.max_angle))),
+        Reason.GRAZING: ~not_seen & sure & (cosine < np.cos(np.radians(options.max_angle))),
         Reason.UNTEXTURED: (estimate.texture < options.weak_texture)
         & (agreeing < options.untextured_share * estimate.num_seeing),
     }
@@ -171,6 +181,13 @@ def _reasons(
     for reason, hit in reasons.items():
         found |= hit * np.uint8(reason)
     return found
+
+
+def _slope_deviation(estimate: Estimate, focal: float) -> FloatMap:
+    """Standard deviation of a patch's slope: how far its sides may differ in depth, by the pixels between them."""
+    size = _PATCH * estimate.depth / np.float32(focal)
+    slope: FloatMap = estimate.sigma / np.maximum(size, np.float32(1e-30))
+    return slope
 
 
 def first_reasons(reason: ByteMap) -> ByteMap:
@@ -193,7 +210,7 @@ def coplanar_shares(
 ) -> FloatMap:
     """Share of the pixels around each that lie on its plane (cpp/src/depth_filter.h)."""
     return _core.coplanar_shares(
-        estimate.depth, estimate.normal, intrinsics=intrinsics, x0=window.x0, y0=window.y0
+        estimate.depth, estimate.normal, estimate.sigma, intrinsics=intrinsics, x0=window.x0, y0=window.y0
     )
 
 

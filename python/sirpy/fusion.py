@@ -41,10 +41,12 @@ class FusionOptions:
     """Options of `fuse`; they carry the names and defaults of the C++ core."""
 
     min_consistent: int = 2  # sources whose depth must agree
-    consistency: float = 1.0  # pixels, forward-backward
+    consistency: float = 1.0  # pixels, forward-backward, or
+    agreement: float = 2.5  # standard deviations, whichever is more
     keep_duplicates: bool = (
         False  # every view emits the surface, not only the one that sees it best
     )
+    thin: bool = False  # depths of coarser levels give one point for each pixel of theirs
     threads: int = 0  # 0: one for each core
 
     def __post_init__(self) -> None:
@@ -168,6 +170,7 @@ class _Fusion:
             self._maps.normal(name, sub_image, block, camera.intrinsics, self._options.threads),
             np.ascontiguousarray(color[block.slices_in(sub_image.core)]),
             self._maps.confidence(name, sub_image, block),
+            self._maps.level(name, block),
             [
                 self._depth_view(source.name, window, self._maps.depth(source.name, window))
                 if window is not None
@@ -196,6 +199,7 @@ class _Fusion:
             y0=window.y0,
             rank=self._views.rank[name],
             depth=depth,
+            sigma=self._maps.sigma(name, window),
         )
 
 

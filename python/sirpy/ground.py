@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from sirpy.native_scene import Floats, Indices, NativeScene, Observations
+from sirpy.native_scene import Floats, Indices, NativeCamera, NativeScene, Observations
 from sirpy.rectangle import Rectangle
 
 _PERCENTILES = (1.0, 99.0)  # of what stands out
@@ -66,22 +67,51 @@ def find_ground(seen: Observations) -> Ground:
 
 
 def ground_points(
-    scene: NativeScene, name: str, ground: Ground, blocks: list[Rectangle]
+    scene: NativeScene, name: str, ground: Ground, blocks: list[Rectangle], within: Floats
 ) -> tuple[Floats, Indices, Indices]:
     """Points of the ground in blocks of a native image, POINTS_OF_A_BLOCK in each, and who would see them: world
     (p, 3), and pairs (point, index of a camera), those of a point together.
 
     Photographs that see no sparse point at all are not asked: nothing tells where they are.
+
+    Args:
+        within: (blocks, 2), least and greatest inverse depth that a block can have.
     """
     steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     across = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     pixel = np.concatenate([(one.x0, one.y0) + across * (one.width, one.height) for one in blocks])
-    world = scene.cameras[name].world(pixel, 1 / ground.inverse_depth(pixel))
-    sees = np.array(
-        [
-            camera.sees(world) & (len(scene.observations[other].point) > 0)
-            for other, camera in scene.cameras.items()
-        ]
-    )
+    low, high = np.repeat(within, POINTS_OF_A_BLOCK, axis=0).T
+    inverse = np.clip(ground.inverse_depth(pixel), low, high)
+    world = scene.cameras[name].world(pixel, 1 / inverse)
+    cameras = list(scene.cameras.values())
+    asked = _in_reach(scene, world)
+    sees = np.zeros((len(cameras), len(world)), bool)
+    for index in np.flatnonzero(asked):
+        sees[index] = cameras[index].sees(world)
     point, observer = np.nonzero(sees.T)
     return world, point, observer
+
+
+def _in_reach(scene: NativeScene, world: Floats) -> npt.NDArray[np.bool_]:
+    """Which cameras may see one of the points: those whose cone of view touches the ball around them."""
+    cameras = scene.cameras.values()
+    middle = (world.min(axis=0) + world.max(axis=0)) / 2
+    radius = np.linalg.norm(world - middle, axis=1).max()
+    centres = np.array([camera.centre for camera in cameras])
+    axes = np.array([camera.cam_from_world[2, :3] for camera in cameras])
+    widest = np.array([_half_angle(camera) for camera in cameras])
+    known = np.array([len(scene.observations[name].point) > 0 for name in scene.cameras])
+    there = middle - centres
+    distance = np.linalg.norm(there, axis=1)
+    along = np.einsum("ij,ij->i", there, axes)
+    angle = np.arccos(np.clip(along / np.maximum(distance, 1e-300), -1, 1))
+    around = np.arcsin(np.clip(radius / np.maximum(distance, 1e-300), 0, 1))
+    in_reach: npt.NDArray[np.bool_] = known & ((distance <= radius) | (angle <= widest + around))
+    return in_reach
+
+
+def _half_angle(camera: NativeCamera) -> float:
+    """Largest angle between the axis of a camera and a ray of its image."""
+    corners = np.array([(x, y, 1.0) for x in (0, camera.width) for y in (0, camera.height)])
+    rays = corners @ np.linalg.inv(camera.intrinsics).T
+    return float(np.arctan(np.hypot(rays[:, 0], rays[:, 1]).max()))

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sirpy import _core
+from sirpy.settling import settle
 from sirpy.stereo_backend import (
     DepthMap,
     DepthRange,
@@ -24,13 +25,14 @@ from sirpy.stereo_backend import (
     StereoOptions,
     View,
 )
+from sirpy.stereo_passes import PassMaps
 from sirpy.view_fields import ViewField
 from sirpy.workspace import Pass
 
 _LEAST_SIDE = 2  # pixels of a source's window: what is narrower holds no patch
 # What the core is handed, for each pixel of the window (grey 1; of the pass before depth 4, normal 12, sources 4) and
 # of each source window (grey 1, inverse depth 4).
-_GIVEN = 21, 5
+_GIVEN = 26, 9
 _SWEEP_US = 0.72, 0.27  # CPU microseconds of a sweep for a pixel, and for each of its sources
 
 
@@ -44,11 +46,13 @@ class PatchMatch(StereoBackend):
     offers: int = 8  # planes of neighbours that a pixel tries
     largest_step: float = 2.0  # pixels of motion in the sources, of the first refinement
     complete: bool = False  # weak texture takes the planes around it; of whole photographs only
+    everywhere: bool = False  # depths at random over the whole range are tried too
     options: StereoOptions = field(default_factory=StereoOptions)
 
     @property
     def planes(self) -> tuple[Plane, ...]:
-        return "depth", "normal", "views"
+        known: tuple[Plane, ...] = ("depth", "normal", "views", "sigma", "level")
+        return (*known, "cost", "texture", "counts") if self.kind == "geometric" else known
 
     @property
     def cpu_us(self) -> tuple[float, float]:
@@ -75,6 +79,15 @@ class PatchMatch(StereoBackend):
         found = self.run(reference, sources, depth_range.field, prior.points, start)
         if self.complete and sources:
             self._complete(reference, sources, depth_range.field, found)
+        if self.kind == "geometric" and isinstance(prior.coarser, PassMaps):
+            settle(
+                found,
+                reference.camera,
+                reference.window,
+                self.level,
+                prior.coarser,
+                self.options.min_consistent,
+            )
         return found
 
     def run(
@@ -91,6 +104,20 @@ class PatchMatch(StereoBackend):
         options.offers = self.offers
         options.largest_step = self.largest_step
         options.top_views = self.options.top_views
+        import os
+        if 'GW' in os.environ:
+            options.geometric_weight = float(os.environ['GW'])
+        if 'CS' in os.environ:
+            options.color_sigma = float(os.environ['CS'])
+        if 'SS' in os.environ:
+            options.space_sigma = float(os.environ['SS'])
+        options.everywhere = self.everywhere
+        import os
+        if 'PW' in os.environ:
+            options.prior_weight = float(os.environ['PW'])
+        if 'NOISE' in os.environ:
+            n, r = map(float, os.environ['NOISE'].split(','))
+            options.noise = [max(n / r**self.level, 1 / 12)] * 16
         options.threads = self.options.threads
         # The random numbers of an image depend on its name, not on which others there are.
         options.seed = zlib.crc32(f"{self.options.seed} {self.name} {reference.name}".encode())
@@ -105,7 +132,7 @@ class PatchMatch(StereoBackend):
             allowed=blocks.allowed,
             min_depth=blocks.min_depth,
             max_depth=blocks.max_depth,
-            points=points if start is None else np.empty((0, 3)),
+            points=points if start is None or self.everywhere else np.empty((0, 3)),
             start=start,
             options=options,
         )
@@ -140,29 +167,40 @@ class PatchMatch(StereoBackend):
 def patch_match(setup: Setup) -> list[StereoBackend]:
     """Coarse to native. What the whole photograph tells is made sure of by its sources at once; the
     levels between halve the pixel."""
-    return list(passes(setup.coarsest, setup.options))
+    return list(passes(setup.coarsest, setup.options, setup.top))
 
 
-def passes(coarsest: int, options: StereoOptions) -> list[PatchMatch]:
+def passes(coarsest: int, options: StereoOptions, top: int = 0) -> list[PatchMatch]:
     """As `patch_match`."""
     native, geometric = options.native_iterations, options.geometric_iterations
+    import os
+    E = os.environ.get
+    native = int(E('NI', native)); geometric = int(E('GI', geometric)); JI = int(E('JI', 0)); PI = int(E('PI', 2))
+    found = []
+    for level in range(max(top, coarsest), coarsest - 1, -1):  # whole photographs, everywhere
+        found += [
+            PatchMatch(level, "photometric", 4, largest_step=8, everywhere=True, options=options),
+            PatchMatch(level, "geometric", 2, complete=True, options=options),
+        ]
+    for level in range(coarsest - 1, 0, -1):
+        found += [
+            PatchMatch(level, "photometric", PI, options=options),
+            PatchMatch(level, "geometric", JI, complete=bool(E("JC")), options=options),
+        ]
     return [
-        PatchMatch(coarsest, "photometric", 4, largest_step=8, options=options),
-        PatchMatch(coarsest, "geometric", 2, complete=True, options=options),
-        *(
-            PatchMatch(level, "photometric", 2, options=options)
-            for level in range(coarsest - 1, 0, -1)
-        ),
+        *found,
         PatchMatch(0, "photometric", native, offers=5, options=options),
-        PatchMatch(0, "geometric", geometric, offers=5, options=options),
+        PatchMatch(0, "geometric", geometric, offers=5, complete=bool(E("NC")), options=options),
     ]
 
 
 def _view_window(view: View) -> _core.ViewWindow:
-    inverse = None
+    inverse = deviation = None
     if view.depth is not None:
         inverse = np.zeros_like(view.depth)
         np.divide(1, view.depth, out=inverse, where=view.depth > 0)
+        if view.sigma is not None:
+            deviation = view.sigma * inverse * inverse
     return _core.ViewWindow(
         intrinsics=view.camera.intrinsics,
         cam_from_world=view.camera.cam_from_world,
@@ -171,4 +209,5 @@ def _view_window(view: View) -> _core.ViewWindow:
         y0=view.window.y0,
         grey=view.grey,
         inverse_depth=inverse,
+        deviation=deviation,
     )

@@ -25,7 +25,7 @@ from sirpy.rectangle import Grid
 from sirpy.stereo_backend import StereoBackend, StereoOptions
 from sirpy.sub_image_model import undistorted_model
 from sirpy.view_selection import check_num_sources
-from sirpy.view_windows import HALO, ViewSelection
+from sirpy.view_windows import HALO, ViewSelection, top_level
 
 # Python with numpy, pycolmap and rasterio loaded, and what a plan and a cut leave behind in its heap.
 _PROCESS_BYTES = 135_000_000
@@ -150,7 +150,8 @@ def plan(
     held, notes = _held_bytes(Path(images), names) if images else ({}, ())
     covered = {name: native.covered for name, native in uncut.items()}
     selection = ViewSelection(scene, covered, num_sources, halo)
-    passes = stereo_passes(selection.coarsest, stereo, scratch=None)
+    top = top_level(((one.width, one.height) for one in uncut.values()), selection.coarsest)
+    passes = stereo_passes(selection.coarsest, top, stereo, scratch=None)
 
     def predict(candidate: Grid, some: list[str], most: int = _MOST_SUB_IMAGES) -> Plan:
         layout = Layout(candidate, overlap, region)
@@ -405,7 +406,7 @@ def _stereo_bytes(
     natives: list[NativeImage],
 ) -> int:
     """Of the largest unit of a pass."""
-    if of_pass.level == selection.coarsest:
+    if of_pass.level >= selection.coarsest:
         whole = (selection.pixels(native.name, None) for native in natives)
         return max(of_pass.memory(*pixels) for pixels in whole) + _SHRINKING_BYTES
     level, halo = of_pass.level, of_pass.halo << of_pass.level

@@ -27,14 +27,14 @@ from sirpy.errors import InputError, SirpyError
 from sirpy.filtering import CONFIDENCE, FilterOptions, check_bounds
 from sirpy.native_scene import NativeCamera
 from sirpy.rectangle import Rectangle
-from sirpy.view_windows import LEAST_COARSEST
+from sirpy.view_windows import LEAST_COARSEST, MOST_LEVEL
 from sirpy.workspace import Pass
 
 if TYPE_CHECKING:
     import torch
 
 FloatMap = npt.NDArray[np.float32]
-Plane = Literal["depth", "normal", "views"]
+Plane = Literal["depth", "normal", "views", "sigma", "level", "cost", "texture", "counts"]
 GROUP = "sirpy.stereo"
 DEFAULT_BACKEND = "patch_match"
 TORCH_BYTES = 320_000_000  # that torch adds to a process, when it has worked
@@ -82,6 +82,7 @@ class View:
             (height, width, 3), 8 bit.
         index: of a source, in the field's table; its bit in `ViewField.allowed`.
         depth: of a source in a geometric pass, (height, width); 0 where there is none.
+        sigma: its standard deviation; None where the pass before does not say.
     """
 
     camera: NativeCamera
@@ -91,6 +92,7 @@ class View:
     read: Callable[[Rectangle, Literal["grey", "color"]], npt.NDArray[np.uint8]]
     index: int = -1
     depth: FloatMap | None = None
+    sigma: FloatMap | None = None
 
     @property
     def name(self) -> str:
@@ -131,16 +133,19 @@ class Prior:
     Attributes:
         points: sparse points (n, 3): x and y in native pixels, depth.
         maps: of the pass before; None in the first.
+        coarser: of the last pass of the next coarser level; None where there is none.
     """
 
     points: npt.NDArray[np.float64]
     maps: Maps | None
+    coarser: Maps | None = None
 
 
 _KINDS = {
     "views": np.dtype(np.uint32),
     "num_seeing": np.dtype(np.uint8),
     "num_consistent": np.dtype(np.uint8),
+    "level": np.dtype(np.uint8),
 }
 
 
@@ -159,12 +164,16 @@ class DepthMap:
     texture: FloatMap | None = None  # variance of the grey levels in the patch
     num_seeing: npt.NDArray[np.uint8] | None = None
     num_consistent: npt.NDArray[np.uint8] | None = None
+    sigma: FloatMap | None = None  # standard deviation of the depth
+    level: npt.NDArray[np.uint8] | None = None  # of the pixels that the depth comes from
 
 
 def check_depth_map(found: DepthMap, window: Rectangle, of_pass: StereoBackend) -> None:
     """Raises InputError where a backend gives what it must not: a package of others may be at fault."""
     shape = window.height, window.width
     needed: set[str] = {"depth", *of_pass.planes}
+    if "counts" in needed:
+        needed = needed - {"counts"} | {"num_seeing", "num_consistent"}
     if of_pass.is_last:
         needed |= {"normal", "cost", "texture", "num_seeing", "num_consistent"}
     for name in sorted(needed):
@@ -189,7 +198,8 @@ class StereoBackend(Protocol):
 
     @property
     def level(self) -> int:
-        """Of the pyramid; the coarsest is worked on by whole photographs, others by sub-images."""
+        """Of the pyramid; the coarsest of the views and those above are worked on by whole photographs, others
+        by sub-images."""
         return 0
 
     @property
@@ -290,14 +300,16 @@ class Setup:
     """What a function of the group `sirpy.stereo` is given.
 
     Attributes:
-        coarsest: the level at which whole photographs are worked on.
+        coarsest: the finest level at which whole photographs are worked on.
         options: of the run.
         scratch: folder for files that are kept while stereo runs; None where only a plan is made.
+        top: the coarsest level at which a photograph still shows something; no more than `coarsest` if 0.
     """
 
     coarsest: int
     options: StereoOptions
     scratch: Path | None
+    top: int = 0
 
 
 def backend_names() -> list[str]:
@@ -330,17 +342,17 @@ def make_backends(setup: Setup) -> list[StereoBackend]:
             f"the stereo backend {name} cannot be loaded ({error}): install its package anew"
         ) from error
     passes = list(made) if isinstance(made, Sequence) else [made]
-    _check_passes(name, passes, setup.coarsest)
+    _check_passes(name, passes)
     return passes
 
 
-def _check_passes(backend: str, passes: list[StereoBackend], coarsest: int) -> None:
+def _check_passes(backend: str, passes: list[StereoBackend]) -> None:
     names = [one.name for one in passes]
     if not passes or len(set(names)) < len(names):
         what = (
             f"passes {', '.join(names)}: each must have a name of its own" if passes else "nothing"
         )
-    elif passes[-1].level != 0 or not all(0 <= one.level <= coarsest for one in passes):
+    elif passes[-1].level != 0 or not all(0 <= one.level <= MOST_LEVEL for one in passes):
         what = f"passes at levels {[one.level for one in passes]}: the last must be at level 0"
     else:
         return

@@ -1,7 +1,7 @@
 """The units and maps of the passes of stereo, coarse to native.
 
 Level l has pixels of 2^l native ones, counted from the corner of the native image; rectangles here are in pixels of
-their level. The coarsest level is worked on by whole photographs, the finer ones by sub-images. Every pass writes
+their level. The coarsest levels are worked on by whole photographs, the finer ones by sub-images. Every pass writes
 what it finds, so the next one, of any unit, can start from it: the reach of a pass does not add to that of others.
 """
 
@@ -23,7 +23,17 @@ from sirpy.stereo_backend import DepthMap, Plane, StereoBackend
 from sirpy.windows import read_window
 from sirpy.workspace import Workspace
 
-_CHANNELS: dict[Plane, int] = {"depth": 1, "normal": 3, "views": 1}
+_CHANNELS: dict[Plane, int] = {
+    "depth": 1,
+    "normal": 3,
+    "views": 1,
+    "sigma": 1,
+    "level": 1,
+    "cost": 1,
+    "texture": 1,
+    "counts": 1,
+}
+_WORDS: tuple[Plane, ...] = ("views", "level", "counts")  # whole numbers, as the bits of floats
 _BAND_PIXELS = 8_000_000  # native ones, read at once to be shrunk
 
 
@@ -59,10 +69,10 @@ def native_pixels(rectangle: Rectangle, level: int, image: Rectangle) -> Rectang
 
 
 def units(natives: tuple[NativeImage, ...], level: int, coarsest: int) -> Iterator[Unit]:
-    """Whole photographs (what is cut of them) at the coarsest level, otherwise the cores of the
+    """Whole photographs (what is cut of them) at level `coarsest` and above, otherwise the cores of the
     sub-images; those without a pixel of the level are none."""
     for native in natives:
-        whole = level == coarsest
+        whole = level >= coarsest
         for sub in (None,) if whole else native.sub_images:
             kept = at_level(sub.core if sub else native.covered, level)
             if kept.area:  # what is narrower than a pixel of the level may own none
@@ -127,6 +137,8 @@ def nothing_found(window: Rectangle) -> DepthMap:
         texture=numbers,
         num_seeing=counts,
         num_consistent=counts,
+        sigma=numbers,
+        level=counts,
     )
 
 
@@ -136,9 +148,17 @@ def write_planes(
     """Writes what the next pass starts from of the rows and columns `kept`, whole or not at all."""
     parts = []
     for name in planes:
-        plane = getattr(found, name).view(np.float32)  # also the bits of the sources
+        plane = _counts(found) if name == "counts" else getattr(found, name)
+        if name in _WORDS:
+            plane = plane.astype(np.uint32, copy=False).view(np.float32)
         parts.append((plane if plane.ndim == 3 else plane[None])[(slice(None), *kept)])
     write_npy(path, np.concatenate(parts))
+
+
+def _counts(found: DepthMap) -> npt.NDArray[np.uint32]:
+    """Sources that see a pixel, and 256 times those that agree."""
+    assert found.num_seeing is not None and found.num_consistent is not None
+    return found.num_seeing + found.num_consistent.astype(np.uint32) * np.uint32(256)
 
 
 class PassMaps:
@@ -176,36 +196,38 @@ class PassMaps:
                 window[(slice(None), *part.slices_in(rectangle))] = found[
                     (slice(None), *part.slices_in(unit.kept))
                 ]
-        if kind == "views":
+        if kind in _WORDS:
             window = window.view(np.uint32)
         return window if kind == "normal" else window[0]
 
+    def has(self, kind: Plane) -> bool:
+        """Whether the pass has written a plane."""
+        return kind in self._place
+
     def read_coarser(
-        self, native: NativeImage, rectangle: Rectangle, levels: int
+        self, native: NativeImage, rectangle: Rectangle, levels: int, kind: Plane = "depth"
     ) -> npt.NDArray[np.float32]:
-        """Depths of a rectangle of a level that is coarser by `levels`: those next to the centres."""
+        """A plane in a rectangle of a level that is coarser by `levels`: what is next to the centres."""
         if levels == 0:
-            return self.read(native.name, rectangle, "depth")
+            return self.read(native.name, rectangle, kind)
         image = at_level(native.rectangle, self.level)
         fine = native_pixels(rectangle, levels, image)
-        depth = self.read(native.name, fine, "depth")
+        plane = self.read(native.name, fine, kind)
         half = 1 << (levels - 1)
         rows = np.minimum((np.arange(rectangle.height) << levels) + half, fine.height - 1)
         columns = np.minimum((np.arange(rectangle.width) << levels) + half, fine.width - 1)
-        return np.ascontiguousarray(depth[np.ix_(rows, columns)])
+        return np.ascontiguousarray(plane[np.ix_(rows, columns)])
 
     def start(self, native: str, rectangle: Rectangle, level: int) -> _core.StartMaps | None:
         """What a pass over a rectangle of a level starts from; the maps are of that level or one coarser.
 
         None where the pass before had no pixel of the native image.
         """
-        image = self._extent[native]
-        if not image.area:
+        found = self.start_rectangle(native, rectangle, level)
+        if not found.area:
             return None
-        if self.level > level:  # the four nearest of each pixel
-            x0, y0 = rectangle.x0 // 2, rectangle.y0 // 2
-            x1, y1 = (rectangle.x1 + 1) // 2, (rectangle.y1 + 1) // 2
-            rectangle = Rectangle.from_corners(x0, y0, x1, y1).padded(1).intersection(image)
+        rectangle = found
+        known = self.has("sigma")
         return _core.StartMaps(
             level=self.level,
             x0=rectangle.x0,
@@ -213,7 +235,19 @@ class PassMaps:
             depth=self.read(native, rectangle, "depth"),
             normal=self.read(native, rectangle, "normal"),
             views=self.read(native, rectangle, "views"),
+            sigma=self.read(native, rectangle, "sigma") if known else None,
+            level_of=self.read(native, rectangle, "level").astype(np.uint8) if known else None,
         )
+
+    def start_rectangle(self, native: str, rectangle: Rectangle, level: int) -> Rectangle:
+        """The pixels of these maps that a pass over a rectangle of a level, theirs or the next finer one, starts
+        from: the four nearest of each pixel. Empty where there are none."""
+        image = self._extent[native]
+        if self.level == level or not image.area:
+            return rectangle.intersection(image)
+        x0, y0 = rectangle.x0 // 2, rectangle.y0 // 2
+        x1, y1 = (rectangle.x1 + 1) // 2, (rectangle.y1 + 1) // 2
+        return Rectangle.from_corners(x0, y0, x1, y1).padded(1).intersection(image)
 
     def _open(self, unit: Unit) -> npt.NDArray[np.float32]:
         path = self._workspace.pass_map(unit.name, self._pass.name)

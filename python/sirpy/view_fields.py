@@ -1,9 +1,9 @@
 """View fields: what every part of a native image is matched against, and between which depths.
 
 A field has square blocks, counted from the corner of the native image (top-left pixel, (0, 0)). The sparse points
-in and around a block tell its depth range (z in the reference camera, robust percentiles) and which native images
-make good sources there: many shared points, seen under good angles at a like resolution (the score of OpenMVS). So
-what a pixel is given never depends on how the photographs are cut.
+in and around a block tell where its surface is expected (z in the reference camera, robust percentiles). Sources are
+the native images that see that surface, under good angles at a like resolution (the score of OpenMVS); points that
+they share count too, but are no condition. So what a pixel is given never depends on how the photographs are cut.
 """
 
 from __future__ import annotations
@@ -26,12 +26,14 @@ from sirpy.native_scene import (
 from sirpy.rectangle import Rectangle
 
 MOST_SOURCES = 32  # in the table of a native image: bits of a mask
+MOST_OF_A_BLOCK = 16  # sources that a place is matched against
 MOST_LEVELS = 3  # that a source is read coarser
 
 _BLOCKS_OF_A_SIDE = 8  # about, of the longest side
 _BLOCK_STEP = 128  # native pixels: whole pixels of every pyramid level, at every border of a block
 _ENOUGH_POINTS = 60  # that give a depth range and a choice of sources
 _FEWEST_POINTS = 3
+_ENOUGH_SOURCES = 3  # of every pixel that so many see
 _OWN_POINTS = 10  # of a block: with less, it sees the ground that the rest of the image sees
 _MIN_SHARED = 8  # sparse points that a source must share with the reference
 _PERCENTILES = (1.0, 99.0)  # of the inverse depths
@@ -58,8 +60,8 @@ class ViewField:
     """What the pixels of a native image are matched against and between which depths, block by block.
 
     The arrays are (rows, columns) of blocks. Bit j of `allowed`: `sources[j]` is matched against
-    there. Depths are z in the reference camera, above 0 where a source is allowed, and 0 where too
-    few sparse points are seen to tell them.
+    there. Depths are z in the reference camera, where the surface is expected: above 0 where a
+    source is allowed, and 0 where too few sparse points are seen to tell them.
     """
 
     name: str
@@ -102,7 +104,8 @@ def view_field(
     """The field of a native image.
 
     Args:
-        num_sources: that a block is matched against, at most.
+        num_sources: that a block is matched against; a few more where some of its pixels would
+            have less than three.
         cut: names of the native images that can be sources; all if None.
     """
     camera, seen = scene.cameras[name], scene.observations[name]
@@ -129,15 +132,14 @@ def view_field(
             visible[other] = _visible(scene.cameras[other], corners)
         return bool(visible[other][block])
 
-    ranked = [
-        [other for other in pairs.scores(some) if is_source(other, block)]
-        for block, some in enumerate(near)
-    ]
-    table = _best([names[:num_sources] for names in ranked])
+    chosen = []
+    for block, some in enumerate(near):
+        ranked = [other for other in pairs.scores(some, least=1) if is_source(other, block)]
+        samples = some[-POINTS_OF_A_BLOCK:]
+        chosen.append(_chosen(ranked, num_sources, pairs.seen_by(ranked, samples)))
+    table = _best(chosen)
     bit = {other: 1 << index for index, other in enumerate(table)}
-    allowed = [
-        sum([bit[other] for other in names if other in bit][:num_sources]) for names in ranked
-    ]
+    allowed = [sum(bit[other] for other in names if other in bit) for names in chosen]
     return ViewField(
         name,
         side,
@@ -193,35 +195,52 @@ def _margin(rectangle: Rectangle) -> int:
 def _with_ground(
     scene: NativeScene, name: str, blocks: list[Rectangle], near: list[Indices], inverse: Floats
 ) -> tuple[Floats, list[Indices], _SeenPoints]:
-    """Blocks that hold hardly a point are expected to see the ground that the rest of the image sees.
+    """What is expected of the blocks, with the ground that the whole image sees.
 
     Args:
         near: indices of the observations around each block.
         inverse: (blocks, 2), their least and greatest inverse depths.
 
     Returns:
-        `inverse` and `near` with the ground of these blocks, and the points that `near` is of: those that the
-        image observes, then those on the ground.
+        `inverse`, where a block holds hardly a point with the range of the ground; `near`, each with
+        POINTS_OF_A_BLOCK points of the surface as its last; the points that it is of: those that the image
+        observes, then those of the surface.
     """
     seen = scene.observations[name]
-    points = _seen_points(scene, seen.point)
-    poor = [
-        index
-        for index, block in enumerate(blocks)
-        if np.count_nonzero(_inside(seen, block.padded(_margin(block)))) < _OWN_POINTS
-    ]
-    if not poor:
-        return inverse, near, points
     ground = find_ground(seen)
     expected, near = inverse.copy(), list(near)
-    for number, index in enumerate(poor):
-        low, high = ground.range_of(blocks[index])
-        expected[index] = min(inverse[index, 0], low), max(inverse[index, 1], high)
-        own = len(seen.point) + POINTS_OF_A_BLOCK * number + np.arange(POINTS_OF_A_BLOCK)
+    for index, block in enumerate(blocks):
+        if np.count_nonzero(_inside(seen, block.padded(_margin(block)))) < _OWN_POINTS:
+            low, high = ground.range_of(block)
+            expected[index] = min(inverse[index, 0], low), max(inverse[index, 1], high)
+        own = len(seen.point) + POINTS_OF_A_BLOCK * index + np.arange(POINTS_OF_A_BLOCK)
         near[index] = np.concatenate([near[index], own])
-    world, point, observer = ground_points(scene, name, ground, [blocks[i] for i in poor])
+    world, point, observer = ground_points(scene, name, ground, blocks, expected)
     lying = world, len(seen.point) + point, observer
-    return expected, near, tuple(map(np.concatenate, zip(points, lying, strict=True)))  # type: ignore[return-value]
+    observed = _seen_points(scene, seen.point)
+    points = tuple(map(np.concatenate, zip(observed, lying, strict=True)))
+    return expected, near, points  # type: ignore[return-value]
+
+
+def _chosen(
+    ranked: list[str], num_sources: int, sees: npt.NDArray[np.bool_]
+) -> list[str]:
+    """The best sources of a block, and more where some of its surface is seen by less than three of them.
+
+    Args:
+        ranked: native images, the best first.
+        sees: (images, samples), which samples of the surface each of them sees.
+    """
+    chosen = list(range(min(num_sources, len(ranked))))
+    while len(chosen) < min(len(ranked), MOST_OF_A_BLOCK):
+        lacking = sees[chosen].sum(axis=0) < min(_ENOUGH_SOURCES, num_sources)
+        gain = (sees & lacking).sum(axis=1)
+        gain[chosen] = 0
+        best = int(np.argmax(gain))
+        if gain[best] == 0:
+            break
+        chosen.append(best)
+    return [ranked[index] for index in sorted(chosen)]
 
 
 def frustum_corners(
@@ -265,17 +284,26 @@ class _SharedPoints:
     weight: Floats  # (pairs,)
     finer: Floats  # (pairs,) GSD of the reference by that of the other
 
-    def scores(self, points: Indices) -> dict[str, float]:
-        """Scores over some of the points, the best first; images with hardly one of them are left out."""
+    def scores(self, points: Indices, least: int | None = None) -> dict[str, float]:
+        """Scores over some of the points, the best first; images with less than `least` of them, or hardly one,
+        are left out."""
         chosen = _joined(self.start[points], self.start[points + 1])
         other = self.other[chosen]
         score = np.bincount(other, self.weight[chosen], minlength=len(self.names))
         shared = np.bincount(other, minlength=len(self.names))
-        enough = min(_MIN_SHARED, max(_FEWEST_POINTS, len(points) // 4))
+        enough = least or min(_MIN_SHARED, max(_FEWEST_POINTS, len(points) // 4))
         order = np.argsort(-score, kind="stable")
         return {
             self.names[i]: float(score[i]) for i in order if score[i] > 0 and shared[i] >= enough
         }
+
+    def seen_by(self, names: list[str], points: Indices) -> npt.NDArray[np.bool_]:
+        """Which of some points each image sees, (names, points)."""
+        sees = np.zeros((len(self.names), len(points)), bool)
+        chosen = _joined(self.start[points], self.start[points + 1])
+        which = np.repeat(np.arange(len(points)), self.start[points + 1] - self.start[points])
+        sees[self.other[chosen], which] = True
+        return sees[[self.names.index(name) for name in names]]
 
     def level(self, name: str) -> int:
         """Pyramid levels by which another image samples the surface more finely, none if less."""
@@ -337,11 +365,11 @@ def _length(a: Floats) -> Floats:
 
 
 def _angle_weight(cosine: Floats) -> Floats:
-    """OpenMVS: best at 12 degrees."""
+    """OpenMVS: best at 12 degrees; less than one is better than nothing."""
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     sigma = np.where(angle < 12, 0.38 * 12, 0.7 * 12)
     weight: Floats = np.maximum(np.exp(-((angle - 12) ** 2) / (2 * sigma**2)), 0.1)
-    weight[angle < 1] = 0.0
+    weight *= np.minimum(angle, 1.0) ** 2
     return weight
 
 

@@ -21,13 +21,19 @@ from sirpy.native_images import NativeImage
 from sirpy.native_scene import NativeScene, read_native_scene
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
-from sirpy.view_fields import MOST_LEVELS, MOST_SOURCES, FieldSource, ViewField, field_shape
+from sirpy.view_fields import (
+    MOST_LEVELS,
+    MOST_OF_A_BLOCK,
+    MOST_SOURCES,
+    FieldSource,
+    ViewField,
+    field_shape,
+)
 from sirpy.view_windows import HALO, LEAST_COARSEST, Source, SubImageViews, ViewSelection
 from sirpy.workspace import Workspace
 
-MOST_OF_A_BLOCK = 16  # sources that a place is matched against
 NUM_SOURCES = 8  # that a place is matched against, unless the user says otherwise
-_VERSION = 2  # of views.json
+_VERSION = 3  # of views.json
 _SOURCE_SUB_IMAGES = 20  # of other images, listed for COLMAP
 
 
@@ -85,7 +91,7 @@ def views(
             step.advance()
     if not any(one.sources for one in found.values()):
         raise InputError(
-            f"no sub-image of {workspace.folder} shares enough sparse points with another photograph: "
+            f"no sub-image of {workspace.folder} sees what another photograph sees: "
             "check that the model and the photographs belong together and overlap"
         )
     fields = {name: selection.field(name) for name in covered}

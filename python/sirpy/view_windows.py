@@ -24,6 +24,8 @@ _MOST_WIDTH = 1 << 15  # pixels of a source window, as it is read (kMostSourceWi
 
 _MOST_COARSE_PIXELS = 2_000_000  # of a whole photograph at the coarsest level
 LEAST_COARSEST = 2
+MOST_LEVEL = 7  # whose pixels are whole parts of a block (`view_fields`)
+_LEAST_SHOWN = 24  # pixels of the shorter side of a photograph: less shows nothing to match
 
 
 @dataclass(frozen=True)
@@ -118,11 +120,21 @@ class ViewSelection:
 
 
 def coarsest_level(cameras: Iterable[NativeCamera]) -> int:
-    """The level of the pass over whole photographs: 2 at least, and the largest has 2 megapixels there
+    """The finest level of passes over whole photographs: 2 at least, and the largest has 2 megapixels there
     at most."""
     largest = max(camera.width * camera.height for camera in cameras)
     level = LEAST_COARSEST
     while largest > _MOST_COARSE_PIXELS * 4**level:
+        level += 1
+    return level
+
+
+def top_level(sizes: Iterable[tuple[int, int]], coarsest: int) -> int:
+    """The coarsest level at which the smallest photograph (width, height) still shows something, `coarsest` at
+    least."""
+    shortest = min(min(size) for size in sizes)
+    level = coarsest
+    while level < MOST_LEVEL and shortest >> (level + 1) >= _LEAST_SHOWN:
         level += 1
     return level
 

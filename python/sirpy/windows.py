@@ -157,10 +157,10 @@ def read_map_window(
     workspace: Workspace,
     native: NativeImage,
     rectangle: Rectangle,
-    kind: Literal["depth", "normal", "confidence"],
+    kind: Literal["depth", "normal", "confidence", "sigma", "level"],
     of_pass: Pass = "geometric",
 ) -> FloatMap:
-    """`rectangle` of a depth or confidence map, (height, width), or of a normal map, (3, height, width).
+    """`rectangle` of a map, (height, width), or of a normal map, (3, height, width).
 
     0 where no sub-image holds any.
 
@@ -172,6 +172,8 @@ def read_map_window(
         "depth": lambda sub: workspace.depth_map(sub, of_pass),
         "normal": lambda sub: workspace.normal_map(sub, of_pass),
         "confidence": workspace.confidence_map,
+        "sigma": workspace.sigma_map,
+        "level": workspace.level_map,
     }
     channels = 3 if kind == "normal" else 1
     window = np.zeros((channels, rectangle.height, rectangle.width), np.float32)

@@ -81,6 +81,8 @@ _STAGE_OUTPUTS: dict[str, tuple[str, ...]] = {
         "stereo/reason_maps",
         "stereo/passes",
         "stereo/confidence_maps",
+        "stereo/sigma_maps",
+        "stereo/level_maps",
         "explained",
         "stereo/consistency_graphs",
     ),
@@ -291,6 +293,8 @@ class Workspace:
         return (
             self.reason_map(sub_image),
             self.confidence_map(sub_image),
+            self.sigma_map(sub_image),
+            self.level_map(sub_image),
             self.normal_map(sub_image, "geometric"),
             self.depth_map(sub_image, "geometric"),
         )
@@ -305,6 +309,12 @@ class Workspace:
 
     def confidence_map(self, sub_image: SubImage) -> Path:
         return self.stereo / "confidence_maps" / f"{sub_image.name}.bin"
+
+    def sigma_map(self, sub_image: SubImage) -> Path:
+        return self.stereo / "sigma_maps" / f"{sub_image.name}.bin"
+
+    def level_map(self, sub_image: SubImage) -> Path:
+        return self.stereo / "level_maps" / f"{sub_image.name}.bin"
 
     def explanation(self, name: str) -> Path:
         """A picture of what stereo found in a sub-image or a native image."""

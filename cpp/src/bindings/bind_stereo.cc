@@ -20,12 +20,13 @@ namespace {
 struct OwnedViewWindow {
   ViewWindow view;
   Array<uint8_t> grey;
-  std::optional<Array<float>> inverse_depth;
+  std::optional<Array<float>> inverse_depth, deviation;
 };
 
 OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& cam_from_world,
                                int level, int64_t x0, int64_t y0, Array<uint8_t> grey,
-                               std::optional<Array<float>> inverse_depth) {
+                               std::optional<Array<float>> inverse_depth,
+                               std::optional<Array<float>> deviation) {
   CheckDimensions(grey, 2, "grey");
   OwnedViewWindow owned;
   owned.view.intrinsics = intrinsics;
@@ -38,7 +39,12 @@ OwnedViewWindow MakeViewWindow(const Eigen::Matrix3d& intrinsics, const Pose& ca
     CheckMap(*inverse_depth, grey.shape(0), grey.shape(1), "inverse_depth", "grey");
     owned.view.inverse_depth = inverse_depth->data();
   }
+  if (deviation) {
+    CheckMap(*deviation, grey.shape(0), grey.shape(1), "deviation", "grey");
+    owned.view.deviation = deviation->data();
+  }
   owned.grey = std::move(grey);
+  owned.deviation = std::move(deviation);
   owned.inverse_depth = std::move(inverse_depth);
   return owned;
 }
@@ -47,16 +53,31 @@ struct OwnedStartMaps {
   StartMaps maps;
   Array<float> depth, normal;
   Array<uint32_t> views;
+  std::optional<Array<float>> sigma;
+  std::optional<Array<uint8_t>> level_of;
 };
 
 OwnedStartMaps MakeStartMaps(int level, int64_t x0, int64_t y0, Array<float> depth,
-                             Array<float> normal, Array<uint32_t> views) {
+                             Array<float> normal, Array<uint32_t> views,
+                             std::optional<Array<float>> sigma,
+                             std::optional<Array<uint8_t>> level_of) {
   CheckDimensions(depth, 2, "depth");
   const py::ssize_t height = depth.shape(0), width = depth.shape(1);
   CheckPlanes(normal, height, width, "normal", "depth");
   CheckMap(views, height, width, "views", "depth");
   OwnedStartMaps owned;
-  owned.maps = {level, {x0, y0, width, height}, depth.data(), normal.data(), views.data()};
+  if (sigma.has_value() != level_of.has_value()) {
+    throw py::value_error("sigma and level_of must be given together");
+  }
+  if (sigma) {
+    CheckMap(*sigma, height, width, "sigma", "depth");
+    CheckMap(*level_of, height, width, "level_of", "depth");
+  }
+  owned.maps = {level,        {x0, y0, width, height},           depth.data(),
+                normal.data(), views.data(),                     sigma ? sigma->data() : nullptr,
+                level_of ? level_of->data() : nullptr};
+  owned.sigma = std::move(sigma);
+  owned.level_of = std::move(level_of);
   owned.depth = std::move(depth);
   owned.normal = std::move(normal);
   owned.views = std::move(views);
@@ -97,6 +118,8 @@ py::dict RunPatchMatch(const OwnedViewWindow& reference,
   maps["cost"] = ToArray(std::move(result.cost), {height, width});
   maps["texture"] = ToArray(std::move(result.texture), {height, width});
   maps["num_seeing"] = ToArray(std::move(result.num_seeing), {height, width});
+  maps["sigma"] = ToArray(std::move(result.sigma), {height, width});
+  maps["level"] = ToArray(std::move(result.level), {height, width});
   maps["num_consistent"] = ToArray(std::move(result.num_consistent), {height, width});
   return maps;
 }
@@ -140,28 +163,32 @@ py::tuple RunCompletePlanes(int level, int64_t x0, int64_t y0, const Eigen::Matr
 }
 
 PlaneMap MakePlaneMap(const Array<float>& depth, const Array<float>& normal,
-                      const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0) {
+                      const Array<float>& sigma, const Eigen::Matrix3d& intrinsics, int64_t x0,
+                      int64_t y0) {
   CheckDimensions(depth, 2, "depth");
   const py::ssize_t height = depth.shape(0), width = depth.shape(1);
   CheckPlanes(normal, height, width, "normal", "depth");
-  return {{x0, y0, width, height}, intrinsics, depth.data(), normal.data()};
+  CheckMap(sigma, height, width, "sigma", "depth");
+  return {{x0, y0, width, height}, intrinsics, depth.data(), normal.data(), sigma.data()};
 }
 
 py::array_t<uint8_t> RunFindSpeckles(const Array<float>& depth, const Array<float>& normal,
-                                     const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0,
-                                     double step, int64_t min_pixels) {
-  const PlaneMap map = MakePlaneMap(depth, normal, intrinsics, x0, y0);
+                                     const Array<float>& sigma, const Eigen::Matrix3d& intrinsics,
+                                     int64_t x0, int64_t y0, double step, double deviations,
+                                     int64_t min_pixels) {
+  const PlaneMap map = MakePlaneMap(depth, normal, sigma, intrinsics, x0, y0);
   std::vector<uint8_t> speckle;
   {
     py::gil_scoped_release release;
-    speckle = FindSpeckles(map, {step, min_pixels});
+    speckle = FindSpeckles(map, {step, deviations, min_pixels});
   }
   return ToArray(std::move(speckle), {depth.shape(0), depth.shape(1)});
 }
 
 py::array_t<float> RunCoplanarShares(const Array<float>& depth, const Array<float>& normal,
-                                     const Eigen::Matrix3d& intrinsics, int64_t x0, int64_t y0) {
-  const PlaneMap map = MakePlaneMap(depth, normal, intrinsics, x0, y0);
+                                     const Array<float>& sigma, const Eigen::Matrix3d& intrinsics,
+                                     int64_t x0, int64_t y0) {
+  const PlaneMap map = MakePlaneMap(depth, normal, sigma, intrinsics, x0, y0);
   std::vector<float> shares;
   {
     py::gil_scoped_release release;
@@ -184,7 +211,10 @@ void BindStereo(py::module_& module) {
       .def_readwrite("geometric_weight", &PatchMatchOptions::geometric_weight)
       .def_readwrite("max_geometric_error", &PatchMatchOptions::max_geometric_error)
       .def_readwrite("consistency", &PatchMatchOptions::consistency)
-      .def_readwrite("prior_variance", &PatchMatchOptions::prior_variance)
+      .def_readwrite("agreement", &PatchMatchOptions::agreement)
+      .def_readwrite("prior_weight", &PatchMatchOptions::prior_weight)
+      .def_readwrite("noise", &PatchMatchOptions::noise)
+      .def_readwrite("everywhere", &PatchMatchOptions::everywhere)
       .def_readwrite("seed", &PatchMatchOptions::seed)
       .def_readwrite("threads", &PatchMatchOptions::threads)
       .def("validate", &PatchMatchOptions::Validate);
@@ -205,11 +235,13 @@ void BindStereo(py::module_& module) {
   py::class_<OwnedViewWindow>(module, "ViewWindow")
       .def(py::init(&MakeViewWindow), py::kw_only(), py::arg("intrinsics"),
            py::arg("cam_from_world"), py::arg("level"), py::arg("x0"), py::arg("y0"),
-           py::arg("grey").noconvert(), py::arg("inverse_depth").noconvert() = py::none());
+           py::arg("grey").noconvert(), py::arg("inverse_depth").noconvert() = py::none(),
+           py::arg("deviation").noconvert() = py::none());
   py::class_<OwnedStartMaps>(module, "StartMaps")
       .def(py::init(&MakeStartMaps), py::kw_only(), py::arg("level"), py::arg("x0"), py::arg("y0"),
            py::arg("depth").noconvert(), py::arg("normal").noconvert(),
-           py::arg("views").noconvert());
+           py::arg("views").noconvert(), py::arg("sigma").noconvert() = py::none(),
+           py::arg("level_of").noconvert() = py::none());
 
   module.def("patch_match", &RunPatchMatch, py::kw_only(), py::arg("reference"), py::arg("sources"),
              py::arg("block_side"), py::arg("allowed").noconvert(),
@@ -238,11 +270,12 @@ void BindStereo(py::module_& module) {
                           memory.per_reference_pixel_at_end);
   });
   module.def("find_speckles", &RunFindSpeckles, py::arg("depth").noconvert(),
-             py::arg("normal").noconvert(), py::kw_only(), py::arg("intrinsics"), py::arg("x0"),
-             py::arg("y0"), py::arg("step"), py::arg("min_pixels"));
+             py::arg("normal").noconvert(), py::arg("sigma").noconvert(), py::kw_only(),
+             py::arg("intrinsics"), py::arg("x0"), py::arg("y0"), py::arg("step"),
+             py::arg("deviations"), py::arg("min_pixels"));
   module.def("coplanar_shares", &RunCoplanarShares, py::arg("depth").noconvert(),
-             py::arg("normal").noconvert(), py::kw_only(), py::arg("intrinsics"), py::arg("x0"),
-             py::arg("y0"));
+             py::arg("normal").noconvert(), py::arg("sigma").noconvert(), py::kw_only(),
+             py::arg("intrinsics"), py::arg("x0"), py::arg("y0"));
   module.def("instruction_set", [] { return patch_match::BestKernels().name; });
 }
 

@@ -25,10 +25,14 @@ SIRPY_INLINE Floats InverseDepthAt(const SourceLevel& source, Floats x, Floats y
   return Select(one_surface, top + fy * (bottom - top), nearest);
 }
 
-// In reference pixels: to the source, onto the depth found there, and back. -1 where the source has
-// no depth.
-SIRPY_FUNCTION Floats ForwardBackwardError(const Level& level, const Group& group, int j,
-                                           const Warp& warp) {
+// How far a source's depth is from the reference's, in reference pixels.
+struct Disagreement {
+  Floats error;   // to the source, onto the depth found there, and back; -1 where there is none
+  Floats spread;  // the standard deviation that the source's depth gives it
+};
+
+SIRPY_FUNCTION Disagreement ForwardBackward(const Level& level, const Group& group, int j,
+                                            const Warp& warp) {
   const SourceLevel& source = level.sources[j];
   const Floats zero{};
   const Floats x = Select(warp.inside, warp.x, zero), y = Select(warp.inside, warp.y, zero);
@@ -43,8 +47,16 @@ SIRPY_FUNCTION Floats ForwardBackwardError(const Level& level, const Group& grou
   const Floats z = row(2);
   const Ints known = warp.inside & (found > 0.f) & (z > 0.f);
   const Floats inverse = 1.f / Select(known, z, Splat(1));
-  const Floats dx = row(0) * inverse - group.x, dy = row(1) * inverse - group.native_y;
-  return Select(known, Sqrt(dx * dx + dy * dy), Splat(-1));
+  const Floats back_x = row(0) * inverse, back_y = row(1) * inverse;
+  const Floats dx = back_x - group.x, dy = back_y - group.native_y;
+  Disagreement disagreement{Select(known, Sqrt(dx * dx + dy * dy), Splat(-1)), Floats{}};
+  if (source.deviation) {
+    const Ints at = Truncate(y + 0.5f) * source.width + Truncate(x + 0.5f);
+    const Floats sx = (float(b[0]) - back_x * float(b[2])) * inverse;
+    const Floats sy = (float(b[1]) - back_y * float(b[2])) * inverse;
+    disagreement.spread = Gather(source.deviation, at) * Sqrt(sx * sx + sy * sy);
+  }
+  return disagreement;
 }
 
 }  // namespace sirpy::patch_match::SIRPY_ISA

@@ -107,22 +107,35 @@ void RandomPlanes::FillRow(int y, int candidate, const Planes& row) const {
 StartPlanes::StartPlanes(const Level& level, const StartMaps& start, bool doubled)
     : level_(level), start_(start), doubled_(doubled) {}
 
+// Pixel x lies at x / 2 - 1/4 of the coarser level: between x / 2 and its neighbour on that side.
+int64_t StartPlanes::StartPixel(int position, bool other, int64_t begin, int64_t size) const {
+  int64_t pixel = position;
+  if (doubled_) pixel = position / 2 + (other ? (position % 2 == 0 ? -1 : 1) : 0);
+  return std::clamp(pixel - begin, int64_t(0), size - 1);
+}
+
+void StartPlanes::FillKnownRow(int y, float* deviation, uint8_t* level) const {
+  const Rectangle& maps = start_.rectangle;
+  const int64_t sy = StartPixel(level_.y0 + y, false, maps.y0, maps.height);
+  for (int x = 0; x < level_.width; ++x) {
+    const int64_t sx = StartPixel(level_.x0 + x, false, maps.x0, maps.width);
+    const size_t at = size_t(sy * maps.width + sx);
+    const float depth = start_.depth[at];
+    deviation[x] = depth > 0 ? start_.sigma[at] / (depth * depth) : 0;
+    level[x] = start_.level_of[at];
+  }
+}
+
 void StartPlanes::FillRow(int y, int candidate, const Planes& row) const {
   const Rectangle& maps = start_.rectangle;
   const size_t area = maps.Area();
-  // Pixel x lies at x / 2 - 1/4 of the coarser level: between x / 2 and its neighbour on that side.
-  const auto start_pixel = [&](int position, bool other, int64_t begin, int64_t size) {
-    int64_t pixel = position;
-    if (doubled_) pixel = position / 2 + (other ? (position % 2 == 0 ? -1 : 1) : 0);
-    return std::clamp(pixel - begin, int64_t(0), size - 1);
-  };
   // The centre of a pixel of the maps, in pixels of this level.
   const auto centre = [&](int64_t pixel) { return doubled_ ? 2 * pixel + 0.5 : double(pixel); };
   const int py = level_.y0 + y;
-  const int64_t sy = start_pixel(py, candidate & 2, maps.y0, maps.height);
+  const int64_t sy = StartPixel(py, candidate & 2, maps.y0, maps.height);
   for (int x = 0; x < level_.width; ++x) {
     const int px = level_.x0 + x;
-    const int64_t sx = start_pixel(px, candidate & 1, maps.x0, maps.width);
+    const int64_t sx = StartPixel(px, candidate & 1, maps.x0, maps.width);
     const size_t at = size_t(sy * maps.width + sx);
     row.rho[x] = row.gx[x] = row.gy[x] = 0;
     row.views[x] = start_.views[at];

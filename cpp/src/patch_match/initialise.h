@@ -60,11 +60,36 @@ class StartPlanes : public PlaneSource {
   StartPlanes(const Level& level, const StartMaps& start, bool doubled);
   int num_candidates() const override { return doubled_ ? 4 : 1; }
   void FillRow(int y, int candidate, const Planes& row) const override;
+  // Of candidate 0, where the maps say it: standard deviation of the inverse depth, and the level
+  // that it comes from.
+  void FillKnownRow(int y, float* deviation, uint8_t* level) const;
 
  private:
+  // The pixel of the maps for a pixel of this level, or the next one on its other side.
+  int64_t StartPixel(int position, bool other, int64_t begin, int64_t size) const;
+
   const Level& level_;
   const StartMaps& start_;
   bool doubled_;
+};
+
+// The candidates of two sources.
+class BothPlanes : public PlaneSource {
+ public:
+  BothPlanes(const PlaneSource& first, const PlaneSource& second)
+      : first_(first), second_(second) {}
+  int num_candidates() const override {
+    return first_.num_candidates() + second_.num_candidates();
+  }
+  void FillRow(int y, int candidate, const Planes& row) const override {
+    const int count = first_.num_candidates();
+    candidate < count ? first_.FillRow(y, candidate, row)
+                      : second_.FillRow(y, candidate - count, row);
+  }
+
+ private:
+  const PlaneSource& first_;
+  const PlaneSource& second_;
 };
 
 }  // namespace sirpy::patch_match

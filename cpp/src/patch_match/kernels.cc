@@ -11,6 +11,10 @@ namespace sirpy::patch_match::SIRPY_ISA {
 
 constexpr float kRejected = 3 * kWorstCost;  // worse than any plane that can be compared
 constexpr float kUnbounded = 1e30f;
+constexpr float kIndependentSamples = 8;  // of the 25 of a patch, in each source
+constexpr float kLeastDeviation = 0.1f;   // pixels: what likelihood does not know of
+constexpr float kLargestDeviation = 4;    // pixels
+constexpr float kHeldTrust = 0.5f;        // in the prior: the patch is more noise than signal
 constexpr float kLeastCosine = 0.14f;  // planes seen at more than 82 degrees are refused
 
 // Planes inside the depth range that face the camera less obliquely than kLeastCosine. The normal
@@ -31,17 +35,33 @@ SIRPY_INLINE Ints IsPossible(const Level& level, const Group& group, const Plane
 // deviation from it costs in place of the NCC (after OpenMVS, Cernea 2020).
 struct Prior {
   Floats rho;
-  Floats trust;  // in [0, 1]; 0 where nothing is known
+  Floats deviation;  // standard deviation of rho
+  Floats trust;      // in [0, 1]; 0 where nothing is known
 };
+
+// Variance that the patches would have without any signal, by the brightness of their centres.
+SIRPY_INLINE Floats Noise(const Level& level, const KernelOptions& options, const Group& group) {
+  const int stride = level.width + 2 * kPatchRadius;
+  const uint8_t* row =
+      level.grey + int64_t(group.y + kPatchRadius) * stride + kPatchRadius;
+  Floats noise;
+  for (int lane = 0; lane < kLanes; ++lane) {
+    noise[lane] = options.noise[row[group.column[lane]] / (256 / kBrightnesses)];
+  }
+  return noise;
+}
 
 SIRPY_INLINE Prior LoadPrior(const Level& level, const KernelOptions& options, const Group& group) {
   Prior prior{};
   if (!level.prior) return prior;
   for (int lane = 0; lane < kLanes; ++lane) {
-    prior.rho[lane] = level.prior[int64_t(group.y) * level.width + group.column[lane]];
+    const int64_t at = int64_t(group.y) * level.width + group.column[lane];
+    prior.rho[lane] = level.prior[at];
+    prior.deviation[lane] = level.prior_deviation[at];
   }
   const Floats variance = group.spread / group.weight_sum;
-  prior.trust = Select(prior.rho > 0.f, Exp(variance * (-1.f / options.prior_variance)), Floats{});
+  const Floats ratio = variance / Noise(level, options, group);
+  prior.trust = Select(prior.rho > 0.f, Exp(ratio * -0.5f), Floats{});
   return prior;
 }
 
@@ -69,8 +89,11 @@ SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, 
   const Cost rejected{Splat(kRejected), Floats{}, Splat(kWorstCost)};
   const Ints possible = IsPossible(level, group, plane);
   if (!Any(possible)) return rejected;
-  Floats weights{};
-  for (Sources j{views.any}; j.more(); j.next()) weights += views.weight[*j];
+  Floats weights{}, views_count{};
+  for (Sources j{views.any}; j.more(); j.next()) {
+    weights += views.weight[*j];
+    views_count += Select(views.weight[*j] > 0.f, Splat(1), Floats{});
+  }
   const Ints compared = weights > 0.f;
   const Floats scale = 1.f / Select(compared, weights, Splat(1));
   const Floats photometric_scale = (1.f - prior.trust) * scale;
@@ -85,7 +108,8 @@ SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, 
     value += photometric_scale * weight * ncc_cost;
     photometric += weight * ncc_cost;
     if (level.sources[*j].inverse_depth) {
-      const Floats error = ForwardBackwardError(level, group, *j, warp);
+      const Disagreement found = ForwardBackward(level, group, *j, warp);
+      const Floats error = found.error / Max(found.spread, Splat(1));
       const Floats most = Splat(options.max_geometric_error);
       value += geometric_scale * weight * Select(error < 0.f, most, Min(error, most));
     }
@@ -95,10 +119,19 @@ SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, 
   }
   Cost cost;
   cost.shift = shift / Select(seen > 0.f, seen, Splat(1));  // 0 where no source sees the patch
+  const Floats tolerated = Max(3.f * prior.deviation * cost.shift, Splat(1));  // pixels of motion
   const Floats deviation =
-      Select(cost.shift > 0.f, Min(Abs(plane.rho - prior.rho) * cost.shift * (1.f / 3.f), Splat(1)),
+      Select(cost.shift > 0.f, Min(Abs(plane.rho - prior.rho) * cost.shift / tolerated, Splat(1)),
              Splat(1));
-  cost.value = Select(possible, value + prior.trust * deviation, Splat(kRejected));
+  // What is known already weighs as much as the samples of the patch say less: the slope of the cost
+  // by the likelihood (1 - NCC^2)^(-n / 2).
+  const Floats mean = Min(photometric * scale, Splat(0.95f));
+  const Floats count = kIndependentSamples * Max(Floats(views_count), Splat(1));
+  const Floats per_likelihood = mean * (2.f - mean) / (count * (1.f - mean));
+  const Floats deviations = (plane.rho - prior.rho) / Max(prior.deviation, Splat(1e-20f));
+  const Floats known_value = Select(prior.rho > 0.f,
+      options.prior_weight * per_likelihood * Min(0.5f * deviations * deviations, Splat(4.5f)), Floats{});
+  cost.value = Select(possible, value + prior.trust * deviation + known_value, Splat(kRejected));
   cost.photometric = Select(compared & possible, photometric / Select(compared, weights, Splat(1)),
                             Splat(kWorstCost));
   return cost;
@@ -262,29 +295,48 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
   }
 }
 
+// Standard deviation, in pixels of motion, of a depth whose costs are c here and half a pixel nearer
+// and farther: by the curvature of the likelihood (1 - NCC^2)^(-n / 2) of n independent samples.
+SIRPY_INLINE Floats MatchingDeviation(Floats nearer, Floats cost, Floats farther, Floats samples) {
+  const Floats curvature = Max((nearer - 2.f * cost + farther) * 4.f, Splat(1e-4f));
+  const Floats c = Min(Max(cost, Splat(0.002f)), Splat(0.95f));
+  const Floats variance = c * (2.f - c) / (samples * (1.f - c) * curvature);
+  return Min(Sqrt(variance) + kLeastDeviation, Splat(kLargestDeviation));
+}
+
+struct Final {
+  Cost cost;
+  Floats deviation;  // pixels of motion
+};
+
 // Sub-pixel depth: the vertex of the parabola through the costs half a pixel nearer and farther.
-SIRPY_INLINE Cost RefineDepth(const Level& level, const KernelOptions& options, const Group& group,
-                              const ViewWeights& views, Plane* best) {
-  const Prior prior = LoadPrior(level, options, group);
+SIRPY_INLINE Final RefineDepth(const Level& level, const KernelOptions& options, const Group& group,
+                               const Prior& prior, const ViewWeights& views, Plane* best) {
   const auto cost_of = [&](const Plane& plane) {
     return PlaneCost(level, options, group, prior, views, plane, Splat(kUnbounded));
   };
   Cost cost = cost_of(*best);
+  if (options.carry) return {cost, Floats{}};
   const Floats step = 0.5f / Max(cost.shift, Splat(1e-20f));
   const auto moved = [&](Floats steps) {
     Plane plane = *best;
     plane.rho += steps * step;
     return plane;
   };
-  const Floats nearer = cost_of(moved(Splat(1))).value;
-  const Floats farther = cost_of(moved(Splat(-1))).value;
+  const Cost near = cost_of(moved(Splat(1))), far = cost_of(moved(Splat(-1)));
+  Floats count{};
+  for (Sources j{views.any}; j.more(); j.next()) count += views.weight[*j];
+  const Floats deviation = MatchingDeviation(near.photometric, cost.photometric, far.photometric,
+                                             kIndependentSamples * Max(count, Splat(1)));
+  if (!options.refine) return {cost, deviation};
+  const Floats nearer = near.value, farther = far.value;
   const Floats curvature = nearer - 2.f * cost.value + farther;
   const Ints convex = curvature > 1e-6f;
   const Floats offset = 0.5f * (farther - nearer) / Select(convex, curvature, Splat(1));
   const Plane vertex = moved(Min(Max(offset, Splat(-1)), Splat(1)));
   const Cost vertex_cost = cost_of(vertex);
   Keep(convex & (vertex_cost.value < cost.value), vertex, vertex_cost, best, &cost);
-  return cost;
+  return {cost, deviation};
 }
 
 // What is known of the final planes of a row, after a last refinement where one is asked for.
@@ -295,20 +347,27 @@ void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
       const Group group = LoadGroup(level, options, first, y);
       const Words used = StoredViews(level, *planes, group);
       Plane plane = LoadPlanes(level, *planes, group);
-      const Cost cost = options.refine
-                            ? RefineDepth(level, options, group, EqualWeights(used), &plane)
-                            : PlaneCost(level, options, group, LoadPrior(level, options, group),
-                                        EqualWeights(used), plane, Splat(kUnbounded));
+      const Prior prior = LoadPrior(level, options, group);
+      const auto [cost, matching_deviation] =
+          RefineDepth(level, options, group, prior, EqualWeights(used), &plane);
       Store(level, group, plane, cost.value, used, planes);
       const Ints possible = IsPossible(level, group, plane);
+      // What the level's pixels say counts where it is more than is known already.
+      Floats deviation = matching_deviation / Max(cost.shift, Splat(1e-20f));
+      const Ints held = options.carry ? prior.rho > 0.f : (prior.rho > 0.f) & (Abs(plane.rho - prior.rho) <= 3.f * prior.deviation) &
+                        ((deviation >= prior.deviation) | (prior.trust > kHeldTrust));
+      deviation = Select(held, prior.deviation, deviation);
       Floats seeing{}, consistent{};
       for (Sources j{UnionOf(group.allowed)}; j.more(); j.next()) {
         const Ints allowed = possible & Has(group.allowed, *j);
         const Warp warp = WarpPatch(level, group, *j, plane);
         seeing += Select(allowed & warp.inside, Splat(1), Floats{});
         if (level.sources[*j].inverse_depth) {
-          const Floats error = ForwardBackwardError(level, group, *j, warp);
-          const Ints agrees = allowed & (error >= 0.f) & (error < options.consistency);
+          const auto [error, spread] = ForwardBackward(level, group, *j, warp);
+          const Floats own = deviation * warp.shift;
+          const Floats tolerated = Max(options.agreement * Sqrt(own * own + spread * spread),
+                                       Splat(options.consistency));
+          const Ints agrees = allowed & (error >= 0.f) & (error < tolerated);
           consistent += Select(agrees, Splat(1), Floats{});
         }
       }
@@ -319,6 +378,8 @@ void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
         assessment->texture[at] = texture[lane];
         assessment->num_seeing[at] = uint8_t(seeing[lane]);
         assessment->num_consistent[at] = uint8_t(consistent[lane]);
+        assessment->deviation[at] = deviation[lane];
+        assessment->held[at] = held[lane] != 0;
       }
     }
   }

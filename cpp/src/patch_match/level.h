@@ -16,11 +16,13 @@ namespace sirpy::patch_match {
 constexpr int kMaxSources = 32;
 constexpr int kPatchRadius = 4;  // 9x9 pixels, every second one is sampled: 25 samples
 constexpr int kPatchStep = 2;
+constexpr int kBrightnesses = 16;  // steps of grey levels that noise is known of
 constexpr float kWorstCost = 2;  // 1 - NCC is in [0, 2]; what cannot be compared costs this
 
 struct SourceLevel {
   const uint32_t* quads = nullptr;       // height x width, of PackQuads
   const float* inverse_depth = nullptr;  // height x width or null; 0 where there is none
+  const float* deviation = nullptr;      // its standard deviation; null: none
   int width = 0;
   int height = 0;
   float x0 = 0;  // origin of the window
@@ -51,10 +53,11 @@ struct Level {
   int num_sources = 0;
   SourceLevel sources[kMaxSources];
   const float* prior = nullptr;  // inverse depth that weak texture keeps; null: nothing is known
+  const float* prior_deviation = nullptr;  // its standard deviation; null with the prior
   uint64_t seed = 0;             // of the run, the image and the pass
   int offers = 8;                // planes of neighbours that are tried, of 8
   float largest_step = 2;        // pixels of motion in the sources, of the first sweep
-  bool everywhere = false;       // nothing is known yet: depths at random too
+  bool everywhere = false;       // depths at random too
 
   const Block& BlockAt(int x, int y) const {  // of a pixel of the window
     return blocks[int64_t((y0 + y) / block_side) * block_columns + (x0 + x) / block_side];
@@ -75,7 +78,9 @@ struct Assessment {
   float* cost = nullptr;              // photometric cost over the selected sources
   float* texture = nullptr;           // bilaterally weighted variance of the patch, grey levels^2
   uint8_t* num_seeing = nullptr;      // sources that the pixel can be compared with
-  uint8_t* num_consistent = nullptr;  // sources whose own depth agrees within `consistency`
+  uint8_t* num_consistent = nullptr;  // sources whose own depth agrees
+  float* deviation = nullptr;         // standard deviation of the inverse depth
+  uint8_t* held = nullptr;            // 1: the prior knows more than this level's pixels
 };
 
 struct KernelOptions {
@@ -83,10 +88,13 @@ struct KernelOptions {
   float space_sigma = 3;          // pixels, bilateral weight
   float geometric_weight = 0.2f;  // lambda
   float max_geometric_error = 3;  // pixels, T
-  float consistency = 1;          // pixels: agreement of two depth maps
-  float prior_variance = 4;       // grey levels squared: below this texture the prior counts
+  float consistency = 1;          // pixels: agreement of two depth maps, at least
+  float agreement = 2.5f;         // standard deviations: agreement of two depths
+  const float* noise = nullptr;   // kBrightnesses variances, grey levels squared
+  float prior_weight = 1;         // of what the start knows of the depth
   int top_views = 4;              // sources that a pixel's cost is the mean of, at most
   bool refine = true;             // the depth, at the end
+  bool carry = false;             // the prior's deviations are those of the planes
 };
 
 // One set per instruction set. Each works on one row: `colour` is (x + y) & 1 in native

@@ -1,0 +1,104 @@
+"""The level that carries the signal: where a level's pixels say nothing, the answer of the coarser one stays.
+
+A depth is supported when the sources agree with it. What a level found without support is replaced by what the next
+coarser level found with it, if it did; so a pixel ends with the answer of the finest level that has one, and with the
+standard deviation of that level.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sirpy.native_scene import Floats, NativeCamera
+from sirpy.rectangle import Rectangle
+from sirpy.stereo_backend import DepthMap, FloatMap
+from sirpy.stereo_passes import PassMaps
+
+Counts = npt.NDArray[np.integer]
+
+
+def is_supported(num_consistent: Counts, num_seeing: Counts, least: int) -> npt.NDArray[np.bool_]:
+    """Whether enough sources agree: `least`, or all where fewer see the place, and one at least."""
+    needed = np.maximum(np.minimum(num_seeing, least), 1)
+    supported: npt.NDArray[np.bool_] = num_consistent >= needed
+    return supported
+
+
+def settle(
+    found: DepthMap,
+    camera: NativeCamera,
+    window: Rectangle,
+    level: int,
+    coarser: PassMaps,
+    min_consistent: int,
+) -> None:
+    """Puts the supported planes of the next coarser level in place of what a level found without support.
+
+    Args:
+        found: of a geometric pass; changed.
+        camera: of the reference.
+        window: of `found`, pixels of the level.
+        coarser: what the last pass of level + 1 has written.
+        min_consistent: sources that must agree, of those that see a pixel.
+    """
+    assert found.num_consistent is not None and found.num_seeing is not None
+    start = coarser.start_rectangle(camera.name, window, level)
+    if not start.area:
+        return
+    rows = np.clip(np.arange(window.y0, window.y1) // 2 - start.y0, 0, start.height - 1)
+    columns = np.clip(np.arange(window.x0, window.x1) // 2 - start.x0, 0, start.width - 1)
+    nearest = np.ix_(rows, columns)
+    counts = coarser.read(camera.name, start, "counts")
+    depth = coarser.read(camera.name, start, "depth")
+    seeing, consistent = counts & np.uint32(255), counts >> np.uint32(8)
+    known = (is_supported(consistent, seeing, min_consistent) & (depth > 0))[nearest]
+    own = (found.depth > 0) & is_supported(found.num_consistent, found.num_seeing, min_consistent)
+    taken = known & ~own
+    if not taken.any():
+        return
+    normal = coarser.read(camera.name, start, "normal")
+    on_plane, facing = _on_planes(camera, window, level, start, depth, normal, (rows, columns))
+    taken &= facing
+    found.depth[taken] = on_plane[taken]
+    assert found.normal is not None
+    for axis in range(3):
+        found.normal[axis][taken] = normal[axis][nearest][taken]
+    found.num_seeing[taken] = seeing[nearest][taken]
+    found.num_consistent[taken] = consistent[nearest][taken]
+    for name in ("views", "sigma", "level", "cost", "texture"):
+        plane = getattr(found, name)
+        plane[taken] = coarser.read(camera.name, start, name)[nearest][taken]
+
+
+def _on_planes(
+    camera: NativeCamera,
+    window: Rectangle,
+    level: int,
+    start: Rectangle,
+    depth: FloatMap,
+    normal: FloatMap,
+    places: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]],
+) -> tuple[FloatMap, npt.NDArray[np.bool_]]:
+    """Depths of the pixels of a window on the planes of the next coarser level, and where they are sound."""
+    nearest = np.ix_(*places)
+    rays = _rays(camera, level, window)
+    coarse_rays = _rays(camera, level + 1, start)
+    along = np.zeros((window.height, window.width))
+    own = np.zeros_like(along)
+    for axis in range(3):
+        plane = normal[axis][nearest]
+        along += plane * rays[axis]
+        own += plane * np.broadcast_to(coarse_rays[axis], depth.shape)[nearest]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = own / along
+        found = (depth[nearest] * ratio).astype(np.float32)
+    return found, (ratio > 0.5) & (ratio < 2)
+
+
+def _rays(camera: NativeCamera, level: int, window: Rectangle) -> tuple[Floats, Floats, float]:
+    """x (1, width), y (height, 1) and z of the rays of the pixels of a window of a level."""
+    step = 1 << level
+    x = (np.arange(window.x0, window.x1) + 0.5) * step - camera.intrinsics[0, 2]
+    y = (np.arange(window.y0, window.y1) + 0.5) * step - camera.intrinsics[1, 2]
+    return x[None] / camera.intrinsics[0, 0], y[:, None] / camera.intrinsics[1, 1], 1.0
