@@ -14,7 +14,7 @@ LAYERS = """
     native_images workspace progress
     weights
     _core _adjustment
-    photographs exif ply pictures left_out detail
+    photographs exif ply pictures left_out noise resolution detail
     flight truth synthetic
     model_files model_arrays initial_cameras
     feature_selection feature_tiles feature_extraction features
