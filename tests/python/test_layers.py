@@ -23,7 +23,7 @@ LAYERS = """
     sfm_options lens_models mapping pairing position_priors rigs self_calibration structure_from_motion
     survey sparse_model sfm
     lens recapturing sub_image_model native_scene
-    colmap_lists ground view_fields view_windows view_selection windows
+    colmap_lists ground view_fields view_windows view_selection windows photograph_detail
     filtering depth_range stereo_backend stereo_passes patch_match judging dense_stereo patchmatchnet
     area layout planning sub_image_sets
     cut_tasks cutting
