@@ -166,7 +166,8 @@ def plan(
     model: Annotated[Path, typer.Argument(help="COLMAP model, in native pixels.")],
     memory: Memory = _MEMORY,
     images: Annotated[
-        Path | None, typer.Option(help="Folder of the photographs, to look at their headers.")
+        Path | None,
+        typer.Option(help="Folder of the photographs: what reading them needs, what they resolve."),
     ] = None,
     columns: Columns = None,
     rows: Rows = None,
@@ -201,6 +202,7 @@ def plan(
         images=images,
         num_sources=num_sources,
         stereo=StereoOptions(backend=stereo, device=device),
+        detail=True,
     )
     if as_json:
         print(json.dumps({**asdict(found), "predicted_peak": found.predicted_peak}))

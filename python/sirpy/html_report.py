@@ -20,6 +20,7 @@ from sirpy.dense_stereo import count_reasons
 from sirpy.files import read_json, written_whole
 from sirpy.model_arrays import read_arrays
 from sirpy.native_images import NativeImage
+from sirpy.photograph_detail import detail_section
 from sirpy.pictures import REASON_COLOURS, data_address, depth_colours, encoded_jpeg
 from sirpy.ply import read_vertices
 from sirpy.progress import duration
@@ -57,6 +58,7 @@ def report(workspace: Workspace) -> Path:
         _cloud(workspace),
         *survey_sections(workspace),
         camera_section(workspace),
+        detail_section(workspace),
         _grid(workspace),
         _depths(workspace),
         _coverage(reasons),

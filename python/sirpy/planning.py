@@ -20,6 +20,7 @@ from sirpy.memory import IMAGE_CACHE_BYTES, gigabytes
 from sirpy.model_arrays import read_arrays
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import NativeScene, native_scene
+from sirpy.photograph_detail import photograph_details, spoken_details
 from sirpy.photographs import open_photograph
 from sirpy.rectangle import Grid
 from sirpy.stereo_backend import StereoBackend, StereoOptions
@@ -118,6 +119,7 @@ def plan(
     num_sources: int = 8,
     halo: int = HALO,
     stereo: StereoOptions = StereoOptions(),
+    detail: bool = False,
 ) -> Plan:
     """The coarsest grid whose stages stay within `memory`, or the prediction for a given grid.
 
@@ -130,6 +132,7 @@ def plan(
             be held while they are read.
         num_sources, halo: as in `views`.
         stereo: as in `stereo`: each backend has its own needs.
+        detail: whether to decode some of the photographs too, and note what they resolve.
 
     Raises:
         BudgetError: nothing fits; the message says the least memory that would do.
@@ -148,6 +151,9 @@ def plan(
         raise seeing.nothing_left()
     names = list(uncut)
     held, notes = _held_bytes(Path(images), names) if images else ({}, ())
+    if images and detail:
+        details = photograph_details(Path(images), names)
+        notes = (*notes, *spoken_details(details, len(names)))
     covered = {name: native.covered for name, native in uncut.items()}
     selection = ViewSelection(scene, covered, num_sources, halo)
     top = top_level(((one.width, one.height) for one in uncut.values()), selection.coarsest)

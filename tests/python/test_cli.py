@@ -34,6 +34,7 @@ def test_a_plan_for_programs_and_for_people(town: Path) -> None:
     assert found["predicted_peak"] == {stage["name"]: stage["peak"] for stage in found["stages"]}
     table = run("plan", town / "sparse", *grid, "--images", town / "images")
     assert "36 of at most" in table
+    assert "native pixels carry detail in" in table
 
 
 def test_regions_and_clusters(town: Path, tmp_path: Path) -> None:

@@ -166,7 +166,7 @@ def test_the_page_is_whole_and_needs_nothing_else(workspace: Workspace) -> None:
     assert not re.search(r"https?://|url\(", text)
     for words in ("100,800", f"{1 - 20 / SIZE[1]:.1%}", "3 min 28 s", "790 MB", "1.00 GB"):
         assert words in page.words, words
-    for words in ("broken.jpg", "it is cut short", "not seen", "done before", "0.847"):
+    for words in ("broken.jpg", "it is cut short", "not seen", "done before", "0.847", "resolve"):
         assert words in page.words, words
     assert text.count("<rect ") == 4  # of the grid
 

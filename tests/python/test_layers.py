@@ -14,7 +14,7 @@ LAYERS = """
     native_images workspace progress
     weights
     _core _adjustment
-    photographs exif ply pictures left_out
+    photographs exif ply pictures left_out noise resolution detail
     flight truth synthetic
     model_files model_arrays initial_cameras
     feature_selection feature_tiles feature_extraction features
@@ -23,7 +23,7 @@ LAYERS = """
     sfm_options lens_models mapping pairing position_priors rigs self_calibration structure_from_motion
     survey sparse_model sfm
     lens recapturing sub_image_model native_scene
-    colmap_lists ground view_fields view_windows view_selection windows
+    colmap_lists ground view_fields view_windows view_selection windows photograph_detail
     filtering depth_range stereo_backend stereo_passes patch_match judging dense_stereo patchmatchnet
     area layout planning sub_image_sets
     cut_tasks cutting
