@@ -32,7 +32,7 @@ def roof(scene: Path) -> np.ndarray:
     return np.ascontiguousarray(places[places[:, 2] > places[:, 2].max() - 2])
 
 
-@pytest.mark.parametrize("model", ["sparse"])
+@pytest.mark.parametrize("model", ["sparse", "sparse_ground"])
 def test_the_top_of_a_tower_is_found(
     scene: Path, roof: np.ndarray, tmp_path: Path, model: str
 ) -> None:
