@@ -466,6 +466,7 @@ class SceneOptions:
     half_extent: float
     terrain_step: float
     finest_detail: float
+    tall: float
     def __init__(self) -> None: ...
 
 class RenderOptions:
@@ -489,6 +490,9 @@ class Scene:
         options: RenderOptions,
     ) -> NDArray[np.uint8]:
         """RGB (rows, columns, 3) from rays at pixel corners, (rows + 1, columns + 1, 2)."""
+
+def terrain_heights(seed: int, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of the ground of the scene of that seed, (n,), at places (n, 2)."""
 
 def nearest_distances(
     queries: NDArray[np.float64], points: NDArray[np.float64], limit: float

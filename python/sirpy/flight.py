@@ -53,34 +53,50 @@ def flying_height(size: tuple[int, int]) -> float:
     return _FOCAL_LENGTH * max(size) * GSD
 
 
-def plan_flight(count: int, size: tuple[int, int], seed: int) -> list[Shot]:
+def plan_flight(
+    count: int,
+    size: tuple[int, int],
+    seed: int,
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> list[Shot]:
     """`count` photographs of one area: strips of nadir photographs with 80 % forward and 60 % side
     overlap, and a quarter of oblique ones that look at the middle from all around.
 
+    Args:
+        middle: of the area, metres; the overlap holds at its height.
+
     Raises:
-        InputError: fewer than 2 photographs.
+        InputError: fewer than 2 photographs, or the middle is above them.
     """
     if count < 2:
         raise InputError(f"a flight needs at least 2 photographs, not {count}")
     random = np.random.default_rng(seed)
+    above = flying_height(size) - middle[2]
+    if above <= 0:
+        raise InputError(f"a flight at {flying_height(size)} m cannot look down at {middle[2]} m")
     oblique = count // 4
-    shots = _nadir(count - oblique, size, random)
+    shots = _nadir(count - oblique, size, np.array(middle), random)
     for i in range(oblique):
         azimuth = math.radians(35) + 2 * math.pi * i / oblique
-        shots.append(_oblique(f"oblique_{i + 1:03d}.jpg", azimuth, size, random))
+        target = middle + np.append(random.normal(0, 2.0, 2), 0.0)
+        shots.append(_oblique(f"oblique_{i + 1:03d}.jpg", azimuth, target, 1.05 * above))
     return shots
 
 
-def _nadir(count: int, size: tuple[int, int], random: np.random.Generator) -> list[Shot]:
+def _nadir(
+    count: int, size: tuple[int, int], middle: NDArray[np.float64], random: np.random.Generator
+) -> list[Shot]:
     width, height = size
     strips = max(1, round(math.sqrt(count / 2)))
-    along, across = (1 - _OVERLAP) * height * GSD, (1 - _SIDE_OVERLAP) * width * GSD
+    pixel = GSD * (1 - middle[2] / flying_height(size))  # at the height of the middle, m
+    along, across = (1 - _OVERLAP) * height * pixel, (1 - _SIDE_OVERLAP) * width * pixel
     shots = []
     for strip, members in enumerate(np.array_split(np.arange(count), strips)):
         for i in range(len(members)):
             forth = strip % 2 == 0
             y = (i - (len(members) - 1) / 2) * along * (1 if forth else -1)
-            place = np.array([(strip - (strips - 1) / 2) * across, y, flying_height(size)])
+            x = (strip - (strips - 1) / 2) * across
+            place = np.array([middle[0] + x, middle[1] + y, flying_height(size)])
             centre = place + random.normal(0, [0.6, 0.6, 0.5])
             heading = (0 if forth else math.pi) + math.radians(random.normal(0, 1.5))
             # North is up in the image of a camera that flies north.
@@ -92,10 +108,8 @@ def _nadir(count: int, size: tuple[int, int], random: np.random.Generator) -> li
     return shots
 
 
-def _oblique(name: str, azimuth: float, size: tuple[int, int], random: np.random.Generator) -> Shot:
-    distance = 1.05 * flying_height(size)
+def _oblique(name: str, azimuth: float, target: NDArray[np.float64], distance: float) -> Shot:
     outwards = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    target = np.append(random.normal(0, 2.0, 2), 0.0)
     centre = target + distance * (math.sin(_TILT) * outwards + [0, 0, math.cos(_TILT)])
     return Shot(name, centre, _cam_from_world(target - centre, np.array([0.0, 0.0, 1.0])))
 

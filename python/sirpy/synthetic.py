@@ -30,6 +30,7 @@ __all__ = ["Evaluation", "Truth", "evaluate", "read_truth", "render_scene"]
 _BAND_ROWS = 128
 _JPEG_QUALITY = 97
 _POINTS_OF_AN_IMAGE = 700
+_LEAST_EXTENT = 150.0  # half the side of a scene that has whole blocks with towers and woods, m
 
 
 def render_scene(
@@ -40,6 +41,8 @@ def render_scene(
     camera_model: CameraModel = "OPENCV",
     seed: int = 1,
     keypoint_noise: float = 0.0,
+    tall: float = 0.0,
+    middle: tuple[float, float] = (0.0, 0.0),
     threads: int = 0,
     progress: Progress | None = None,
 ) -> Path:
@@ -51,6 +54,9 @@ def render_scene(
         camera_model: OPENCV (with lens distortion) or PINHOLE.
         seed: of the town, the flight and all noise.
         keypoint_noise: standard deviation of the model's observations, in pixels.
+        tall: height of towers and woods above the ground, in metres, at which the photographs then
+            overlap; 0 for a town without them.
+        middle: (x, y) of the place photographed.
         threads: 0 uses all; the files are the same whatever the number.
 
     Raises:
@@ -59,11 +65,14 @@ def render_scene(
     """
     if keypoint_noise < 0:
         raise InputError(f"keypoint_noise of {keypoint_noise} pixels: it must not be negative")
+    if tall < 0:
+        raise InputError(f"towers of {tall} metres: the height must not be negative")
     folder = Path(folder)
     check_writable(folder)
     camera = make_camera(camera_model, size)
-    shots = plan_flight(image_count, size, seed)
-    scene = _make_scene(shots, size, seed)
+    top = tall + _ground(seed, middle) if tall else 0.0
+    shots = plan_flight(image_count, size, seed, (*middle, top))
+    scene = _make_scene(shots, size, seed, tall)
     truth = Truth(scene.surface.vertices, scene.surface.triangles, GSD)
     with (progress or Progress()).stage("rendering", len(shots), "photograph") as steps:
         for index, shot in enumerate(shots):
@@ -98,13 +107,23 @@ def evaluate(
     return evaluate_cloud(truth, model, Path(cloud_path), thresholds)
 
 
-def _make_scene(shots: Sequence[Shot], size: tuple[int, int], seed: int) -> _core.Scene:
+def _ground(seed: int, place: tuple[float, float]) -> float:
+    """The height of the terrain at a place (x, y)."""
+    return float(_core.terrain_heights(seed, np.array([place], np.float64))[0])
+
+
+def _make_scene(
+    shots: Sequence[Shot], size: tuple[int, int], seed: int, tall: float = 0.0
+) -> _core.Scene:
     options = _core.SceneOptions()
     options.seed = seed
     options.finest_detail = GSD
     # The farthest ground that an oblique photograph sees is about two flying heights away.
     farthest = max(float(np.abs(shot.centre[:2]).max()) for shot in shots)
     options.half_extent = farthest + 2.2 * flying_height(size)
+    if tall:
+        options.tall = tall
+        options.half_extent = max(options.half_extent, _LEAST_EXTENT)
     options.terrain_step = max(options.terrain_step, options.half_extent / 500)
     return _core.Scene(options)
 

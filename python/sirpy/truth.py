@@ -147,7 +147,7 @@ def evaluate_cloud(
     stride = max(1, -(-len(points) // _MOST_JUDGED))
     judged = points[::stride]
     judged = np.ascontiguousarray(judged[_frames(model, judged) >= _LEAST_VIEWS])
-    asked = _places_to_find(truth, model)
+    asked = places_to_find(truth, model)
     to_surface = truth.distances(judged, limit)
     to_cloud = (
         _core.nearest_distances(asked, points, limit)
@@ -203,7 +203,7 @@ def _frames(model: Any, points: Floats) -> NDArray[np.int32]:
     return count
 
 
-def _places_to_find(truth: Truth, model: Any) -> Floats:
+def places_to_find(truth: Truth, model: Any) -> Floats:
     """Points of the surface, evenly spread, that at least three photographs see."""
     vertices = truth.surface.vertices
     spacing = _SAMPLE_SPACING * truth.gsd

@@ -12,7 +12,7 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning
 from sirpy import _core, synthetic
 from sirpy.errors import InputError, SirpyError
-from sirpy.flight import make_camera
+from sirpy.flight import GSD, flying_height, make_camera, plan_flight
 
 SIZE = (240, 160)
 
@@ -134,6 +134,19 @@ def test_the_seed_makes_another_town(scene: Path, tmp_path: Path) -> None:
     assert not np.array_equal(first.surface.vertices[:100], second.surface.vertices[:100])
 
 
+def test_photographs_overlap_at_the_height_of_the_middle() -> None:
+    size, middle = (1200, 900), (30.0, -20.0, 72.0)  # two thirds of the flying height
+    shots = plan_flight(12, size, 1, middle)
+    nadir = np.array([shot.centre for shot in shots if shot.name.startswith("strip1")])
+    forward = 0.2 * size[1] * GSD / 3
+    assert np.diff(nadir[:, 1]).mean() == pytest.approx(forward, abs=0.5)
+    assert nadir[:, 2] == pytest.approx(flying_height(size), abs=2)
+    for shot in shots:
+        if shot.name.startswith("oblique"):
+            x, y, z = shot.cam_from_world @ (middle - shot.centre)
+            assert np.hypot(x, y) < 0.2 * z
+
+
 def test_keypoint_noise_is_what_was_asked(tmp_path: Path) -> None:
     folder = synthetic.render_scene(tmp_path, image_count=3, size=SIZE, keypoint_noise=0.5)
     model = pycolmap.Reconstruction(str(folder / "sparse"))
@@ -184,6 +197,10 @@ def test_a_users_mistake_is_one_sentence(tmp_path: Path) -> None:
         synthetic.render_scene(tmp_path / "a", image_count=1)
     with pytest.raises(InputError, match="PINHOLE or OPENCV"):
         synthetic.render_scene(tmp_path / "b", camera_model="FISHEYE")
+    with pytest.raises(InputError, match="must not be negative"):
+        synthetic.render_scene(tmp_path / "d", tall=-1)
+    with pytest.raises(InputError, match="cannot look down"):
+        synthetic.render_scene(tmp_path / "e", size=(64, 48), tall=20)
     with pytest.raises(InputError, match="too small"):
         synthetic.render_scene(tmp_path / "c", size=(8, 8))
     (tmp_path / "file").touch()

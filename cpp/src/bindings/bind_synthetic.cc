@@ -17,6 +17,7 @@ namespace {
 
 using IndexRows = Eigen::Matrix<int32_t, Eigen::Dynamic, 3, Eigen::RowMajor>;
 using ConstPoints = Eigen::Ref<const PointRows>;
+using ConstPlaces = Eigen::Ref<const Eigen::Matrix<double, Eigen::Dynamic, 2, Eigen::RowMajor>>;
 
 PointRows RowsOf(const std::vector<Eigen::Vector3d>& points) {
   PointRows rows(points.size(), 3);
@@ -80,6 +81,14 @@ Array<uint8_t> RenderBand(const Scene& scene, const Array<double>& nodes, int64_
   return image;
 }
 
+Eigen::VectorXd TerrainHeights(uint64_t seed, const ConstPlaces& places) {
+  Eigen::VectorXd heights(places.rows());
+  for (Eigen::Index i = 0; i < places.rows(); ++i) {
+    heights[i] = TerrainHeight(seed, places(i, 0), places(i, 1));
+  }
+  return heights;
+}
+
 void BindSurface(py::module_& module) {
   using Release = py::call_guard<py::gil_scoped_release>;
   py::class_<Surface>(module, "Surface")
@@ -114,7 +123,8 @@ void BindScene(py::module_& module) {
       .def_readwrite("seed", &SceneOptions::seed)
       .def_readwrite("half_extent", &SceneOptions::half_extent)
       .def_readwrite("terrain_step", &SceneOptions::terrain_step)
-      .def_readwrite("finest_detail", &SceneOptions::finest_detail);
+      .def_readwrite("finest_detail", &SceneOptions::finest_detail)
+      .def_readwrite("tall", &SceneOptions::tall);
   py::class_<RenderOptions>(module, "RenderOptions")
       .def(py::init<>())
       .def_readwrite("samples", &RenderOptions::samples)
@@ -136,6 +146,7 @@ void BindScene(py::module_& module) {
 void BindSynthetic(py::module_& module) {
   BindSurface(module);
   BindScene(module);
+  module.def("terrain_heights", &TerrainHeights, py::arg("seed"), py::arg("places").noconvert());
   module.def(
       "nearest_distances",
       [](const ConstPoints& queries, const ConstPoints& points, double limit) {

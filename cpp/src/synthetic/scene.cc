@@ -226,14 +226,46 @@ class SceneBuilder {
     AddFlatRoofed(Standing(inner + size.cwiseProduct(Eigen::Vector2d(0.78, 0.4)),
                            {0.12 * size.x(), 0.25 * size.y()}, 0, dice(4, 7)),
                   wall, dice.Seed());
+    if (options_.tall > 0) AddTowers(inner, Hash(seed, 2));
+  }
+
+  // In a row along the street, before the halls.
+  void AddTowers(const Eigen::Vector2d& inner, uint64_t seed) {
+    Dice dice(seed);
+    const Eigen::Vector2d size = plan_.block.array() - 2 * plan_.Setback();
+    for (const double along : {0.06, 0.5, 0.94}) {
+      const Material wall = Look(Substance::kPlaster, dice.Pick(kWalls), dice.Seed());
+      AddFlatRoofed(Standing(inner + size.cwiseProduct(Eigen::Vector2d(along, 0.07)), {2, 2}, 0,
+                             options_.tall * dice(0.85, 1)),
+                    wall, dice.Seed());
+    }
   }
 
   void AddPark(const Eigen::Vector2d& inner, uint64_t seed) {
     Dice dice(seed);
     const Eigen::Vector2d size = plan_.block.array() - 2 * plan_.Setback();
+    if (options_.tall > 0) {
+      AddWood(inner, size, dice.Seed());
+      return;
+    }
     for (int i = 0; i < 12; ++i) {
       const Eigen::Vector2d place(dice(0.5, 0.95), dice(0.08, 0.92));
       AddTree(inner + size.cwiseProduct(place), dice(1.5, 3.2), dice.Seed());
+    }
+  }
+
+  // Slender trees that stand so close that their crowns meet.
+  void AddWood(const Eigen::Vector2d& corner, const Eigen::Vector2d& size, uint64_t seed) {
+    constexpr double kSpacing = 5;
+    Dice dice(seed);
+    for (double y = kSpacing / 2; y < size.y(); y += kSpacing) {
+      for (double x = kSpacing / 2; x < size.x(); x += kSpacing) {
+        const Eigen::Vector2d place =
+            plan_.WorldFromPlan(corner + Eigen::Vector2d(x + dice(-1, 1), y + dice(-1, 1)));
+        const double radius = dice(2.6, 3.8), half = options_.tall * dice(0.36, 0.46);
+        mesh_.AddCrown({place.x(), place.y(), Ground(place) + half}, {radius, radius, half},
+                       Look(Substance::kLeaves, dice.Pick(kFoliage), dice.Seed()));
+      }
     }
   }
 
@@ -281,6 +313,7 @@ void SceneOptions::Validate() const {
   require(terrain_step >= half_extent / 2000, "terrain_step", terrain_step,
           "terrain_step >= half_extent / 2000");
   require(finest_detail > 0, "finest_detail", finest_detail, "finest_detail > 0");
+  require(tall >= 0 && tall <= 1000, "tall", tall, "0 <= tall <= 1000");
 }
 
 Scene MakeScene(const SceneOptions& options) {

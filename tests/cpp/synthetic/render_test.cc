@@ -1,5 +1,7 @@
 #include "synthetic/render.h"
 
+#include <algorithm>
+
 #include <gtest/gtest.h>
 
 namespace sirpy {
@@ -96,12 +98,30 @@ TEST(MakeScene, RoofsAndWallsLookOutwards) {
   }
 }
 
+TEST(MakeScene, TowersAndWoodsAreAsTallAsAskedFor) {
+  SceneOptions options{6, 120, 2, 0.1};
+  const auto highest = [&] {
+    const Scene scene = MakeScene(options);
+    double height = 0;
+    for (const Eigen::Vector3d& vertex : scene.surface.vertices()) {
+      height = std::max(height, vertex.z() - TerrainHeight(options.seed, vertex.x(), vertex.y()));
+    }
+    return height;
+  };
+  EXPECT_LT(highest(), 20);
+  options.tall = 60;
+  EXPECT_NEAR(highest(), options.tall, 0.1 * options.tall);
+}
+
 TEST(Options, NameFieldValueAndBound) {
   RenderOptions render;
   render.samples = 0;
   EXPECT_THROW(render.Validate(), std::invalid_argument);
   SceneOptions scene;
   scene.half_extent = -1;
+  EXPECT_THROW(MakeScene(scene), std::invalid_argument);
+  scene = SceneOptions();
+  scene.tall = -1;
   EXPECT_THROW(MakeScene(scene), std::invalid_argument);
 }
 
