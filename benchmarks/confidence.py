@@ -4,8 +4,8 @@
 
 Each WORKSPACE has been through `sirpy stereo`, with the same backend; TRUTH is the truth.npz of a rendered scene, or
 a folder of exact depth maps named as those of the workspace. Stereo is run again, in a copy, to see what it says of
-some sub-images before the filter. The first scene is fitted, the others check: a depth is right within two
-pixels' worth, 2 depth / focal length. One JSON object for each scene; the first holds the coefficients, which
+some sub-images before the filter. The first scene is fitted, the others check: a depth is right within
+RIGHT_UNITS units of the sources or RIGHT_DEVIATIONS standard deviations (python/sirpy/filtering.py). One JSON object for each scene; the first holds the coefficients, which
 belong into python/sirpy/filtering.py.
 """
 
@@ -30,8 +30,10 @@ from sirpy.filtering import (
     JUDGED_CONFIDENCE,
     Estimate,
     Reason,
-    coplanar_shares,
+    RIGHT_DEVIATIONS,
+    RIGHT_UNITS,
     evidence,
+    neighbourhood,
     probability,
 )
 from sirpy.native_images import NativeImage, SubImage
@@ -41,14 +43,13 @@ from sirpy.truth import Truth
 from sirpy.windows import read_map
 from sirpy.workspace import Workspace
 
-RIGHT = 2  # pixels' worth
 MOST_FITTED = 1_000_000
 ROUNDS = 30  # of Newton's method
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels with a true depth: evidence (6, n), reason (n,), whether the depth is right (n,)."""
+    """Pixels with a true depth: evidence (9, n), reason (n,), whether the depth is right (n,)."""
 
     evidence: NDArray[np.float32]
     reason: NDArray[np.uint8]
@@ -115,9 +116,12 @@ def estimated(
         depth = true_depth(workspace, native, sub, truth)
         stored = sub.stored.slices_in(window)
         known = (depth > 0) & ~masked[stored]
-        evidences = evidence(estimate, coplanar_shares(estimate, intrinsics, window))
-        error = np.abs(estimate.depth[stored] - depth) * intrinsics[0, 0]
-        right = (error <= RIGHT * depth) & (estimate.depth[stored] > 0)
+        around = neighbourhood(estimate, intrinsics, window)
+        evidences = evidence(estimate, intrinsics[0, 0], around)
+        error = np.abs(estimate.depth[stored] - depth)
+        units, sigma = estimate.units(intrinsics[0, 0])[stored], estimate.sigma[stored]
+        tolerated = np.maximum(RIGHT_UNITS * units, RIGHT_DEVIATIONS * sigma)
+        right = (error <= tolerated) & (estimate.depth[stored] > 0)
         parts.append((evidences[:, *stored][:, known], found[0][stored][known], right[known]))
         return found
 

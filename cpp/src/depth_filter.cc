@@ -168,4 +168,28 @@ std::vector<float> CoplanarShares(const PlaneMap& map) {
   return shares;
 }
 
+std::vector<float> BoxMeans(const float* plane, int64_t width, int64_t height, int64_t radius) {
+  std::vector<float> rows(size_t(width * height)), means(rows.size());
+#pragma omp parallel for
+  for (int64_t y = 0; y < height; ++y) {
+    for (int64_t x = 0; x < width; ++x) {
+      const int64_t first = std::max<int64_t>(x - radius, 0), last = std::min(x + radius, width - 1);
+      float sum = 0;
+      for (int64_t u = first; u <= last; ++u) sum += plane[y * width + u];
+      rows[size_t(y * width + x)] = sum / float(last - first + 1);
+    }
+  }
+#pragma omp parallel for
+  for (int64_t y = 0; y < height; ++y) {
+    const int64_t first = std::max<int64_t>(y - radius, 0), last = std::min(y + radius, height - 1);
+    float* mean = means.data() + y * width;
+    for (int64_t v = first; v <= last; ++v) {
+      const float* row = rows.data() + v * width;
+      for (int64_t x = 0; x < width; ++x) mean[x] += row[x];
+    }
+    for (int64_t x = 0; x < width; ++x) mean[x] /= float(last - first + 1);
+  }
+  return means;
+}
+
 }  // namespace sirpy

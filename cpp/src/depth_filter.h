@@ -51,4 +51,8 @@ constexpr double kCoplanarStep = 2;        // pixels' worth of depth, or
 constexpr double kCoplanarDeviations = 2;  // standard deviations, whichever is more
 std::vector<float> CoplanarShares(const PlaneMap& map);
 
+// The mean of what lies within `radius` across and down, inside the map. Every mean is summed by
+// itself: where the map begins changes none that lies whole in it.
+std::vector<float> BoxMeans(const float* plane, int64_t width, int64_t height, int64_t radius);
+
 }  // namespace sirpy

@@ -224,10 +224,12 @@ PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneA
   result.num_consistent.resize(size);
   result.texture.resize(size);
   result.sigma.resize(size);
+  result.motion.resize(size);
   result.level.resize(size);
   Assessment assessment{result.cost.data(),           result.texture.data(),
                         result.num_seeing.data(),     result.num_consistent.data(),
-                        result.sigma.data(),          result.level.data()};
+                        result.sigma.data(),          result.motion.data(),
+                        result.level.data()};
 #pragma omp parallel for schedule(dynamic)
   for (int y = 0; y < level.height; ++y) {
     kernels.finish_row(level, options, &planes, &assessment, y);
@@ -250,12 +252,14 @@ void SetDepths(const Level& level, int own_level, const std::vector<uint8_t>& pr
       float& depth = planes.rho[at];
       // The worst cost means that no source could be compared: there is no depth.
       if (result.num_seeing[at] == 0 || planes.cost[at] > 2 * patch_match::kWorstCost) {
-        depth = result.sigma[at] = 0;
+        depth = result.sigma[at] = result.motion[at] = 0;
         result.level[at] = uint8_t(own_level);
         continue;
       }
       result.level[at] = result.level[at] ? prior_level[at] : uint8_t(own_level);
       result.sigma[at] /= depth * depth;
+      const float shift = result.motion[at];
+      result.motion[at] = shift > 0 ? 1 / (shift * depth * depth) : 0;
       const float dx = float(level.x0 + x) - level.cx, dy = float(level.y0 + y) - level.cy;
       const Eigen::Vector3f inward(level.fx * planes.gx[at], level.fy * planes.gy[at],
                                    planes.rho[at] - planes.gx[at] * dx - planes.gy[at] * dy);
@@ -424,9 +428,9 @@ int PatchMatchMargin(int iterations) {
 }
 
 PatchMatchMemory PatchMatchBytesPerPixel() {
-  // Reference: planes 20, prior 9, padded grey 1, assessment 15; source: quads 4. At the end
+  // Reference: planes 20, prior 9, padded grey 1, assessment 19; source: quads 4. At the end
   // planes, assessment, levels of the prior and normals.
-  return {45, 4, 48};
+  return {49, 4, 52};
 }
 
 }  // namespace sirpy

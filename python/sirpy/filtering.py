@@ -1,7 +1,10 @@
 """Filtering: which depths of an estimate are kept, why the others are not, and how sure the kept ones are.
 
 Maps are (height, width), one pixel of a window of a native image each; depth is z in its camera. What becomes
-of a pixel depends on the maps within `speckle_pixels` of it, and not on where the window ends.
+of a pixel depends on the maps within `FilterOptions.margin` of it, and not on where the window ends.
+
+Depths are judged in the unit of the sources: what a pixel of motion in them changes, or a pixel of the photograph on
+the surface (depth / focal length), whichever is more.
 """
 
 from __future__ import annotations
@@ -22,13 +25,16 @@ ByteMap = npt.NDArray[np.uint8]
 
 _COPLANAR_REACH = 4  # pixels (kCoplanarReach in depth_filter.cc)
 _PATCH = 8  # pixels from one side of a patch to the other
+_AROUND = 7  # pixels: the neighbourhood whose costs and deviations tell of a pixel
 _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the maps
 
-# Log-odds that a depth is right within two pixels' worth (2 depth / focal length), for one unit of each
-# `evidence`. Fitted by benchmarks/confidence.py.
-CONFIDENCE = np.array([-2.043, 0.122, 2.273, -0.605, 4.562, -0.331])
+# A depth is right within two units of the sources, or so many standard deviations.
+RIGHT_UNITS, RIGHT_DEVIATIONS = 2.0, 2.5
+
+# Log-odds that a depth is right, for one unit of each `evidence`. Fitted by benchmarks/confidence.py.
+CONFIDENCE = np.array([-2.043, 0.122, 2.273, -0.605, 4.562, -0.331, 0.0, 0.0, 0.0])
 # The same of depths that a network found without a look at those of the sources.
-JUDGED_CONFIDENCE = np.array([-3.658, 0.235, 2.411, -2.338, 2.324, -0.512])
+JUDGED_CONFIDENCE = np.array([-3.658, 0.235, 2.411, -2.338, 2.324, -0.512, 0.0, 0.0, 0.0])
 
 
 class Reason(IntFlag):
@@ -41,7 +47,7 @@ class Reason(IntFlag):
     MASKED = 16  # the photograph's mask is black there
     SPECKLE = 32  # a small island of a depth that no neighbour shares
     GRAZING = 64  # the surface is seen nearly edge-on
-    UNTEXTURED = 128  # nothing to match, and too few sources measured the same depth all the same
+    UNSURE = 128  # what the estimator says of it and of its neighbours is too often said of wrong depths
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,12 @@ class Estimate:
     num_consistent: ByteMap  # sources whose own depth agrees within a pixel
     texture: FloatMap  # variance of the grey levels in the patch
     sigma: FloatMap  # standard deviation of the depth
+    motion: FloatMap  # change of depth that moves it by a pixel in the sources; 0 where it is not seen
+
+    def units(self, focal: float) -> FloatMap:
+        """What the sources resolve: depth, (height, width); `focal` in pixels."""
+        units: FloatMap = np.maximum(self.motion, self.depth / np.float32(focal))
+        return units
 
 
 @dataclass(frozen=True)
@@ -65,8 +77,7 @@ class FilterOptions:
     min_consistent: int = 2  # sources whose depth must agree
     # The same for pixels above max_cost: noise decides there, not texture.
     costly_consistent: int = 5
-    weak_texture: float = 4.0  # grey levels squared: the variance of a patch of noise
-    untextured_share: float = 0.4  # of the sources that see it: that must agree below weak_texture
+    min_confidence: float = 0.5  # of a depth to be right
     max_angle: float = 80.0  # degrees between ray and normal
     speckle_pixels: int = 6  # smaller islands are left out; at most the halo
     speckle_consistent: int = 3  # sources that must agree on a pixel of an island all the same
@@ -83,8 +94,7 @@ class FilterOptions:
             "max_cost": (0, 2),
             "min_consistent": (0, 32),
             "costly_consistent": (0, 33),
-            "weak_texture": (0, 65025),
-            "untextured_share": (0, 1),
+            "min_confidence": (0, 1),
             "max_angle": (1, 90),
             "speckle_pixels": (0, 100_000),
             "speckle_consistent": (0, 33),
@@ -97,7 +107,7 @@ class FilterOptions:
     @property
     def margin(self) -> int:
         """Pixels around a pixel whose estimates have a say in what becomes of it."""
-        return max(self.speckle_pixels, _COPLANAR_REACH)
+        return max(self.speckle_pixels, _COPLANAR_REACH, _AROUND)
 
 
 def check_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) -> None:
@@ -125,19 +135,21 @@ def filter_depths(
         coefficients: of the confidence.
 
     Returns:
-        reason; confidence: probability (0 .. 1) that a depth is right within two pixels' worth,
-        2 depth / focal length; 0 where there is none.
+        reason; confidence: probability (0 .. 1) that a depth is right within RIGHT_UNITS units of the
+        sources or RIGHT_DEVIATIONS standard deviations; 0 where there is none.
     """
     shape = estimate.depth.shape
     reason = np.zeros(shape, np.uint8)
     confidence = np.zeros(shape, np.float32)
-    coplanar = coplanar_shares(estimate, intrinsics, window)
+    around = neighbourhood(estimate, intrinsics, window)
     for rows in _bands(shape):
         part = _rows_of(estimate, rows)
         cosine = cosines(part.normal, intrinsics, _rows_of_window(window, rows))
         sure = _slope_deviation(part, intrinsics[0, 0]) <= options.max_slope_deviation
         reason[rows] = _reasons(part, cosine, sure, masked[rows], options)
-        confidence[rows] = probability(evidence(part, coplanar[rows]), coefficients)
+        evidences = evidence(part, intrinsics[0, 0], tuple(one[rows] for one in around))
+        confidence[rows] = probability(evidences, coefficients)
+    reason |= (confidence < options.min_confidence) * np.uint8(Reason.UNSURE)
     kept = np.where(reason == 0, estimate.depth, np.float32(0))
     speckle = _core.find_speckles(
         kept,
@@ -174,8 +186,6 @@ def _reasons(
         Reason.INCONSISTENT: agreeing < needed,
         Reason.MASKED: masked,
         Reason.GRAZING: ~not_seen & sure & (cosine < np.cos(np.radians(options.max_angle))),
-        Reason.UNTEXTURED: (estimate.texture < options.weak_texture)
-        & (agreeing < options.untextured_share * estimate.num_seeing),
     }
     found = np.zeros(masked.shape, np.uint8)
     for reason, hit in reasons.items():
@@ -214,8 +224,33 @@ def coplanar_shares(
     )
 
 
-def evidence(estimate: Estimate, coplanar: FloatMap) -> npt.NDArray[np.float32]:
-    """What the confidence is made of, (6, height, width); the first plane is 1."""
+Neighbourhood = tuple[FloatMap, ...]  # shares of coplanar pixels, means of log deviations and of costs
+
+
+def neighbourhood(
+    estimate: Estimate, intrinsics: npt.NDArray[np.float64], window: Rectangle
+) -> Neighbourhood:
+    """What the maps around a pixel say of it."""
+    return (
+        coplanar_shares(estimate, intrinsics, window),
+        _core.box_means(_log_deviation(estimate, intrinsics[0, 0]), _AROUND),
+        _core.box_means(np.clip(estimate.cost, 0, 2), _AROUND),
+    )
+
+
+def _log_deviation(estimate: Estimate, focal: float) -> FloatMap:
+    """Logarithm of the standard deviation in units of the sources; of what is not seen that of 20 units."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = estimate.sigma / estimate.units(focal)
+    seen = (estimate.depth > 0) & (ratio > 0)
+    return np.log(np.clip(np.where(seen, ratio, np.float32(20)), 0.05, 20)).astype(np.float32)
+
+
+def evidence(
+    estimate: Estimate, focal: float, around: Neighbourhood
+) -> npt.NDArray[np.float32]:
+    """What the confidence is made of, (9, height, width); the first plane is 1."""
+    coplanar, deviations, costs = around
     agreeing = estimate.num_consistent.astype(np.float32)
     return np.stack(
         [
@@ -225,6 +260,9 @@ def evidence(estimate: Estimate, coplanar: FloatMap) -> npt.NDArray[np.float32]:
             np.log(np.clip(estimate.cost, 0, 2) + 0.01),
             coplanar,  # most wrong depths lie near edges of other depths
             np.log1p(estimate.texture),  # and these have contrast
+            _log_deviation(estimate, focal),
+            deviations,
+            costs,
         ]
     ).astype(np.float32)
 

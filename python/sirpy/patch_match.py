@@ -113,6 +113,7 @@ class PatchMatch(StereoBackend):
             options.space_sigma = float(os.environ['SS'])
         options.everywhere = self.everywhere
         import os
+        options.noise = [max(2 / 4**self.level, 1 / 12)] * 16
         if 'PW' in os.environ:
             options.prior_weight = float(os.environ['PW'])
         if 'NOISE' in os.environ:
@@ -175,7 +176,7 @@ def passes(coarsest: int, options: StereoOptions, top: int = 0) -> list[PatchMat
     native, geometric = options.native_iterations, options.geometric_iterations
     import os
     E = os.environ.get
-    native = int(E('NI', native)); geometric = int(E('GI', geometric)); JI = int(E('JI', 0)); PI = int(E('PI', 2))
+    native = int(E('NI', native)); geometric = int(E('GI', geometric)); JI = int(E('JI', 1)); PI = int(E('PI', 2))
     found = []
     for level in range(max(top, coarsest), coarsest - 1, -1):  # whole photographs, everywhere
         found += [

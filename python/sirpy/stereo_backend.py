@@ -165,6 +165,7 @@ class DepthMap:
     num_seeing: npt.NDArray[np.uint8] | None = None
     num_consistent: npt.NDArray[np.uint8] | None = None
     sigma: FloatMap | None = None  # standard deviation of the depth
+    motion: FloatMap | None = None  # change of depth that moves it by a pixel in the sources
     level: npt.NDArray[np.uint8] | None = None  # of the pixels that the depth comes from
 
 
@@ -175,7 +176,7 @@ def check_depth_map(found: DepthMap, window: Rectangle, of_pass: StereoBackend) 
     if "counts" in needed:
         needed = needed - {"counts"} | {"num_seeing", "num_consistent"}
     if of_pass.is_last:
-        needed |= {"normal", "cost", "texture", "num_seeing", "num_consistent"}
+        needed |= {"normal", "cost", "texture", "num_seeing", "num_consistent", "sigma", "motion", "level"}
     for name in sorted(needed):
         plane = getattr(found, name, None)
         kind = _KINDS.get(name, np.dtype(np.float32))

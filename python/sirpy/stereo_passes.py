@@ -138,6 +138,7 @@ def nothing_found(window: Rectangle) -> DepthMap:
         num_seeing=counts,
         num_consistent=counts,
         sigma=numbers,
+        motion=numbers,
         level=counts,
     )
 

@@ -119,6 +119,7 @@ py::dict RunPatchMatch(const OwnedViewWindow& reference,
   maps["texture"] = ToArray(std::move(result.texture), {height, width});
   maps["num_seeing"] = ToArray(std::move(result.num_seeing), {height, width});
   maps["sigma"] = ToArray(std::move(result.sigma), {height, width});
+  maps["motion"] = ToArray(std::move(result.motion), {height, width});
   maps["level"] = ToArray(std::move(result.level), {height, width});
   maps["num_consistent"] = ToArray(std::move(result.num_consistent), {height, width});
   return maps;
@@ -276,6 +277,20 @@ void BindStereo(py::module_& module) {
   module.def("coplanar_shares", &RunCoplanarShares, py::arg("depth").noconvert(),
              py::arg("normal").noconvert(), py::arg("sigma").noconvert(), py::kw_only(),
              py::arg("intrinsics"), py::arg("x0"), py::arg("y0"));
+  module.def(
+      "box_means",
+      [](const Array<float>& plane, int radius) {
+        CheckDimensions(plane, 2, "plane");
+        if (radius < 0) throw py::value_error("radius must be 0 or more");
+        const int64_t height = plane.shape(0), width = plane.shape(1);
+        std::vector<float> means;
+        {
+          py::gil_scoped_release release;
+          means = BoxMeans(plane.data(), width, height, radius);
+        }
+        return ToArray(std::move(means), {height, width});
+      },
+      py::arg("plane").noconvert(), py::arg("radius"));
   module.def("instruction_set", [] { return patch_match::BestKernels().name; });
 }
 

@@ -379,6 +379,7 @@ void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
         assessment->num_seeing[at] = uint8_t(seeing[lane]);
         assessment->num_consistent[at] = uint8_t(consistent[lane]);
         assessment->deviation[at] = deviation[lane];
+        assessment->shift[at] = cost.shift[lane];
         assessment->held[at] = held[lane] != 0;
       }
     }

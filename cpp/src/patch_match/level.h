@@ -80,6 +80,7 @@ struct Assessment {
   uint8_t* num_seeing = nullptr;      // sources that the pixel can be compared with
   uint8_t* num_consistent = nullptr;  // sources whose own depth agrees
   float* deviation = nullptr;         // standard deviation of the inverse depth
+  float* shift = nullptr;             // pixels of motion per unit of inverse depth
   uint8_t* held = nullptr;            // 1: the prior knows more than this level's pixels
 };
 
