@@ -80,9 +80,11 @@ def score(
 ) -> None:
     """Compares a cloud, as photographs that were held out would see it, with these: 9x9 NCC.
 
-    covered: share of the pixels that other photographs see and that hold a point. right: share of
-    those with texture whose NCC is at least .5, .7, .9, where nothing is wrong. Without --hold-out, the
-    photographs of the model that the cloud's workspace did not use.
+    covered: of the pixels that enough other photographs see, the share that holds a point.
+
+    right: of those with texture, the share whose NCC is at least .5, .7, .9; a hole is wrong.
+
+    Without --hold-out: all photographs of the model that the cloud's workspace did not use.
     """
     from sirpy.colmap_dense import open_workspace
     from sirpy.evaluation import evaluate

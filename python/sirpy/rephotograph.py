@@ -77,7 +77,7 @@ def rephotograph(
     covered, judged = np.zeros(taken.shape, bool), ground.at(window, options.shrink)
     for band in _bands(window, _band_rows(photograph, window, options.shrink, memory)):
         rows, native = band.slices_in(window)[0], _native(band, options.shrink)
-        buffer = draw(view, cloud.points(), native, options.radius)
+        buffer = draw(view, cloud.points, native, options.radius)
         drawn[rows], covered[rows] = shrunk_buffer(buffer, options.shrink)
         del buffer  # before the photograph is read
         taken[rows] = shrunk(luma(_read(photograph, native)), options.shrink)
@@ -104,7 +104,7 @@ def _bands(window: Rectangle, rows: int) -> Iterator[Rectangle]:
 
 
 def _band_rows(photograph: Photograph, window: Rectangle, shrink: int, memory: int) -> int:
-    """Shrunk rows that are drawn at once: each band costs a passage through the cloud."""
+    """Shrunk rows that are drawn at once: each band costs two passages through the cloud."""
     held = (
         _PROCESS + photograph.held_bytes + _HELD * window.area + _COMPARED * _STRIP * window.width
     )

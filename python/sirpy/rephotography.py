@@ -2,13 +2,14 @@
 
 After M. Waechter, M. Beljan, S. Fuhrmann, N. Moehrle, J. Kopf, M. Goesele: "Virtual Rephotography: Novel View
 Prediction Error for 3D Reconstruction", ACM TOG 2017. Points are squares of a radius in pixels of the photograph,
-parallel to it; the nearest one wins. Results depend neither on the order of the points nor on how the
-photograph is divided into bands of rows.
+parallel to it. The nearest one shows; but of those that are as near, as points of one surface are, the one whose
+centre is nearest to the pixel's: the nearest to the camera would shift and blur the picture by up to the radius.
+Results depend neither on the order of the points nor on how the photograph is divided into bands of rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,15 @@ from sirpy.rectangle import Rectangle
 Floats = NDArray[np.float64]
 Grey = NDArray[np.float32]
 Mask = NDArray[np.bool_]
-Buffer = NDArray[np.uint64]
+Buffer = NDArray[np.uint32]
 
 MARGIN = 4  # pixels around one that its NCC depends on: windows of 9 x 9
-_NOTHING = np.uint64(2**64 - 1)
-_LUMA_BITS = np.uint64(2**32 - 1)
+_NOTHING = np.uint32(2**32 - 1)
+_LUMA_BITS = np.uint32(2**16 - 1)
+_STEPS = 2**15 - 1  # of a square distance
+_THICKNESS = (
+    4.0  # of a surface, for each pixel of radius, in pixels on the ground: up to a slope of 4
+)
 _LEVELS = 256  # steps of luma between two grey values
 _LUMA = (0.299, 0.587, 0.114)
 _LEAST_COMMON = 60  # pixels of the 81 of a window
@@ -44,42 +49,56 @@ def luma(colours: NDArray[Any]) -> Grey:
 
 def draw(
     view: PosedCamera,
-    points: Iterable[tuple[Floats, Colours]],
+    points: Callable[[], Iterable[tuple[Floats, Colours]]],
     window: Rectangle,
     radius: float,
 ) -> Buffer:
-    """The z-buffer (height, width) of a window of a photograph: depth in the upper 32 bits of a pixel, luma in
-    the lower ones.
+    """What a window of a photograph shows, (height, width): 16 bits each of the distance of the point from the
+    pixel's centre, and of its luma.
 
     Args:
-        points: places (n, 3) in the world and RGB (n, 3), some at a time.
+        points: gives places (n, 3) in the world and RGB (n, 3), some at a time; asked twice.
         window: pixels of the photograph.
         radius: half the side of a point's square, in such pixels; at least 0.5, with which each point fills
             the pixel that it falls into.
     """
-    buffer = np.full((window.height, window.width), _NOTHING, np.uint64)
+    pixels = window.height * window.width
+    limit = np.full(pixels, np.inf, np.float32)
+    for pixel, depth, _ in _splats(view, points(), window, radius):
+        np.minimum.at(limit, pixel, depth)
+    limit *= np.float32(1 + _THICKNESS * radius / view.camera.mean_focal_length())
+    shown = np.full(pixels, _NOTHING, np.uint32)
+    for pixel, depth, key in _splats(view, points(), window, radius):
+        in_front = depth <= limit[pixel]
+        np.minimum.at(shown, pixel[in_front], key[in_front])
+    return shown.reshape(window.height, window.width)
+
+
+def _splats(
+    view: PosedCamera,
+    points: Iterable[tuple[Floats, Colours]],
+    window: Rectangle,
+    radius: float,
+) -> Iterator[tuple[NDArray[np.int64], Grey, Buffer]]:
+    """Of pixels whose centres lie in the squares of points: index in the window, depth of the point, and what is
+    shown if it is this one; one of a square at a time."""
+    size = window.width, window.height
     for world, colours in points:
-        found, pixels, depth = view.project(world)
+        found, pixels, depths = view.project(world)
         pixels = pixels - [window.x0, window.y0]
-        near = ((pixels > -radius) & (pixels < np.add(buffer.shape[::-1], radius))).all(axis=1)
-        grey = np.rint(luma(colours[found[near]]) * _LEVELS).astype(np.uint64)
-        # The bits of positive floats are in the order of the floats.
-        bits = depth[near].astype(np.float32).view(np.uint32).astype(np.uint64)
-        _splat(buffer, pixels[near], bits << np.uint64(32) | grey, radius)
-    return buffer
-
-
-def _splat(buffer: Buffer, pixels: Floats, key: Buffer, radius: float) -> None:
-    """Gives the pixels whose centres lie in the square around each of `pixels` (n, 2) the least of the keys."""
-    rows, width = buffer.shape
-    first = np.ceil(pixels - radius - 0.5).astype(np.int64)
-    last = np.ceil(pixels + radius - 0.5).astype(np.int64)  # the first beyond the square
-    flat, side = buffer.reshape(-1), int(np.ceil(2 * radius))
-    for step in np.ndindex(side, side):
-        place = first + step
-        drawn = ((place < last) & (place >= 0) & (place < (width, rows))).all(axis=1)
-        column, row = place[drawn].T
-        np.minimum.at(flat, row * width + column, key[drawn])
+        near = ((pixels > -radius) & (pixels < np.add(size, radius))).all(axis=1)
+        pixels, depth = pixels[near], depths[near].astype(np.float32)
+        grey = np.rint(luma(colours[found[near]]) * _LEVELS).astype(np.uint32)
+        first = np.ceil(pixels - radius - 0.5).astype(np.int64)
+        last = np.ceil(pixels + radius - 0.5).astype(np.int64)  # the first beyond the square
+        side = int(np.ceil(2 * radius))
+        for step in np.ndindex(side, side):
+            place = first + step
+            drawn = ((place < last) & (place >= 0) & (place < size)).all(axis=1)
+            place = place[drawn]
+            away = np.square((place + 0.5 - pixels[drawn]) / radius).sum(axis=1)  # up to 2
+            distance = (away * _STEPS).astype(np.uint32) << np.uint32(16)
+            yield place[:, 1] * window.width + place[:, 0], depth[drawn], distance | grey[drawn]
 
 
 def shrunk_buffer(buffer: Buffer, factor: int) -> tuple[Grey, Mask]:
@@ -90,7 +109,7 @@ def shrunk_buffer(buffer: Buffer, factor: int) -> tuple[Grey, Mask]:
     for part in _shifts(buffer, factor):
         full = part != _NOTHING
         count += full
-        total += np.where(full, part & _LUMA_BITS, np.uint64(0))
+        total += np.where(full, part & _LUMA_BITS, np.uint32(0))
     mean: Grey = total / np.maximum(count, 1) / np.float32(_LEVELS)
     covered: Mask = 2 * count > factor * factor
     return mean, covered

@@ -11,7 +11,7 @@ import laspy
 import numpy as np
 import pytest
 from PIL import Image
-from rephotograph_scene import HEIGHT, HELD_OUT, WIDTH, Scene, plane_scene
+from rephotograph_scene import DEPTH, HEIGHT, HELD_OUT, WIDTH, Scene, plane_scene
 from sirpy import coloured_points
 from sirpy.cli import app
 from sirpy.errors import BudgetError, InputError
@@ -55,6 +55,14 @@ def test_an_exact_cloud_is_right_everywhere(scene: Scene, shrink: int) -> None:
     assert found.pixels == found.covered == (HEIGHT // shrink) * (WIDTH // shrink)
     assert found.textured == (HEIGHT // shrink - 8) * (WIDTH // shrink - 8)
     assert found.alike == (found.textured,) * 3
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.0, 2.0, 4.5])
+def test_the_radius_neither_shifts_nor_blurs_a_slanted_surface(plane: Scene, radius: float) -> None:
+    slope = 1 + 0.3 * (plane.points[..., :1] + plane.points[..., 1:2]) / DEPTH
+    slanted = replace(plane, points=plane.points * slope)  # on the same rays
+    found = judged(plane, slanted.cloud(), replace(NATIVE, radius=radius)).all
+    assert found.alike[2] > 0.97 * found.textured
 
 
 def test_a_cloud_that_is_off_is_wrong_although_it_covers(plane: Scene) -> None:
@@ -219,7 +227,7 @@ def test_from_holding_out_to_the_score(town: Path, held: Path, tmp_path: Path) -
     assert name not in [native.name for native in Workspace(held / "out").natives]
     assert found["all"] == found["photographs"][name]
     assert found["all"]["covered"] > 0.6
-    assert found["all"]["right_0.9"] < found["all"]["right_0.7"] < found["all"]["right_0.5"]
+    assert found["all"]["right_0.9"] <= found["all"]["right_0.7"] <= found["all"]["right_0.5"]
     assert found["all"]["right_0.5"] > 0.5
 
 

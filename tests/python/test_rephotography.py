@@ -9,13 +9,14 @@ from sirpy.posed_camera import PosedCamera
 from sirpy.rectangle import Rectangle
 from sirpy.rephotography import comparable, draw, luma, ncc, shrunk, shrunk_buffer
 
+FOCAL = 1000.0
 WHOLE = Rectangle(0, 0, 12, 8)
 
 
 def view() -> PosedCamera:
-    """At depth 1 the world's x and y are pixels."""
+    """At depth FOCAL the world's x and y are pixels."""
     lens = pycolmap.Camera(
-        camera_id=1, model="PINHOLE", width=12, height=8, params=[1.0, 1.0, 0.0, 0.0]
+        camera_id=1, model="PINHOLE", width=12, height=8, params=[FOCAL, FOCAL, 0.0, 0.0]
     )
     return PosedCamera("a.png", lens, np.eye(4)[:3])
 
@@ -28,9 +29,9 @@ def drawn(
 ) -> np.ndarray:
     """Grey values, -1 where there is nothing; places are in pixels, at any depth."""
     x, y, z = np.array(points, np.float64).T
-    world = np.column_stack([x * z, y * z, z])
+    world = np.column_stack([x * z / FOCAL, y * z / FOCAL, z])
     colours = np.repeat(np.array(greys, np.uint8)[:, None], 3, axis=1)
-    grey, covered = shrunk_buffer(draw(view(), [(world, colours)], window, radius), 1)
+    grey, covered = shrunk_buffer(draw(view(), lambda: [(world, colours)], window, radius), 1)
     return np.where(covered, grey, -1)
 
 
@@ -60,6 +61,14 @@ def test_the_nearest_point_hides_those_behind_it_in_any_order() -> None:
     assert (drawn(behind, [10]) == -1).all()
 
 
+def test_of_one_surface_the_point_nearest_to_the_centre_shows() -> None:
+    # Pixels on the ground are 0.1 % of the depth: a step of 3.5 pixels is a slope, one of 40 an edge.
+    slope = [(4.6, 4.5, 2.0), (5.6, 4.5, 2.007)]
+    assert drawn(slope, [10, 200], radius=1)[4, 4:7].round().tolist() == [10, 200, 200]
+    edge = [(4.6, 4.5, 2.0), (5.6, 4.5, 2.08)]
+    assert drawn(edge, [10, 200], radius=1)[4, 4:7].round().tolist() == [10, 10, 200]
+
+
 def test_windows_are_parts_of_the_whole() -> None:
     random = np.random.default_rng(1)
     points = random.uniform([-1, -1, 1], [13, 9, 2], (300, 3))
@@ -71,14 +80,10 @@ def test_windows_are_parts_of_the_whole() -> None:
 
 
 def test_shrinking_takes_means_of_what_is_there() -> None:
+    places = np.array([[0.5, 0.5, FOCAL], [1.5, 0.5, FOCAL], [0.5, 1.5, FOCAL], [2.5, 0.5, FOCAL]])
     buffer = draw(
         view(),
-        [
-            (
-                np.array([[0.5, 0.5, 1], [1.5, 0.5, 1], [0.5, 1.5, 1], [2.5, 0.5, 1]]),
-                greys(10, 20, 30, 40),
-            )
-        ],
+        lambda: [(places, greys(10, 20, 30, 40))],
         Rectangle(0, 0, 5, 3),
         0.5,
     )
