@@ -28,9 +28,7 @@ MARGIN = 4  # pixels around one that its NCC depends on: windows of 9 x 9
 _NOTHING = np.uint32(2**32 - 1)
 _LUMA_BITS = np.uint32(2**16 - 1)
 _STEPS = 2**15 - 1  # of a square distance
-_THICKNESS = (
-    4.0  # of a surface, for each pixel of radius, in pixels on the ground: up to a slope of 4
-)
+_THICKNESS = 4.0  # of a surface, for each pixel of radius; pixels on the ground
 _LEVELS = 256  # steps of luma between two grey values
 _LUMA = (0.299, 0.587, 0.114)
 _LEAST_COMMON = 60  # pixels of the 81 of a window
