@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -69,14 +69,18 @@ def decimate(images: Path, model: SparseModel, longest: int, output: Path) -> No
 
 
 def scaled_model(model: SparseModel, longest: int) -> SparseModel:
-    """The model of photographs whose longest sides have `longest` pixels; cameras that see less stay.
+    """The model of photographs whose longest sides have `longest` pixels; cameras that see less stay."""
+    return rescaled(model, lambda camera: min(1, longest / max(camera.width, camera.height)))
+
+
+def rescaled(model: SparseModel, scale_of: Callable[[pycolmap.Camera], float]) -> SparseModel:
+    """The model of photographs of another size, by camera, rounded to whole pixels.
 
     Pixel coordinates begin at the outer corner of the first pixel, so that they only scale.
     """
     cameras = {}
     for number, camera in model.cameras.items():
-        small = pycolmap.Camera(camera.todict())
-        scale = min(1, longest / max(camera.width, camera.height))
+        small, scale = pycolmap.Camera(camera.todict()), scale_of(camera)
         small.rescale(round(camera.width * scale), round(camera.height * scale))
         cameras[number] = small
     xy = model.xy.copy()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from sirpy import (
+    evaluation_cli,
     features_cli,
     georeference_cli,
     mesh_cli,
@@ -35,6 +36,7 @@ app = typer.Typer(
     # --cluster_size as COLMAP would write it, or --cluster-size.
     context_settings={"token_normalize_func": lambda token: token.replace("_", "-")},
 )
+app.add_typer(evaluation_cli.app, name="evaluate")
 app.add_typer(weights_cli.app, name="weights")
 
 Images = Annotated[Path, typer.Argument(help="Folder of photographs.", show_default=False)]

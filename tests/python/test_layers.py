@@ -40,8 +40,10 @@ LAYERS = """
     lattice block_store raster_files surface_model best_views orthophoto
     mesh_cutting mesh_files point_groups mesh_tiles mesh_matching mesh_joints mesh
     overview cloud_picture explaining residual_plot camera_report survey_pictures survey_report html_report
+    posed_camera coloured_points rephotography common_ground held_out judged_cloud
+    rephotograph_score rephotograph evaluation_picture evaluation
     deliverables pipeline demo plan_table
-    weights_cli sfm_cli features_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
+    evaluation_cli weights_cli sfm_cli features_cli georeference_cli mesh_cli rasters_cli tiles3d_cli cli __main__
 """
 PLACES = {name: place for place, name in enumerate(["__init__", *LAYERS.split()])}
 
