@@ -43,7 +43,7 @@ Sample MakeSample(const CloudPoint& point, const SurfaceOptions& options) {
           steep ? 0 : -double(point.nx) / point.nz,
           steep ? 0 : -double(point.ny) / point.nz,
           weight * gsd * gsd / (reach * reach),
-          weight / (gsd * gsd),
+          weight / (gsd * gsd + double(point.sigma) * point.sigma),
           reach};
 }
 

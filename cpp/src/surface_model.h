@@ -25,8 +25,10 @@ struct CloudPoint {
   uint8_t views;
   float confidence;
   float gsd;
+  float sigma;  // standard deviation along the ray; 0: not known
+  int32_t level;
 };
-static_assert(sizeof(CloudPoint) == 48, "the points of numpy are not padded");
+static_assert(sizeof(CloudPoint) == 56, "the points of numpy are not padded");
 
 struct CellWindow {
   int64_t column = 0;  // of the first cell, on the lattice

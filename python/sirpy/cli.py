@@ -91,6 +91,10 @@ Stereo = Annotated[
 Device = Annotated[
     str, typer.Option(help="Of networks: auto (a GPU where there is one), cpu, cuda.")
 ]
+MinDepth = Annotated[
+    float | None, typer.Option(help="Nearest depth of the scene, unit of the model.")
+]
+MaxDepth = Annotated[float | None, typer.Option(help="Farthest depth of the scene.")]
 Products = Annotated[
     str,
     typer.Option(help="Made of the points: some of cloud,dsm,ortho,mesh,tiles3d."),
@@ -124,6 +128,8 @@ def reconstruct(
     num_sources: NumSources = 8,
     stereo: Stereo = _STEREO,
     device: Device = "auto",
+    min_depth: MinDepth = None,
+    max_depth: MaxDepth = None,
     products: Products = "",
     threads: Threads = 0,
     quiet: Quiet = False,
@@ -154,7 +160,13 @@ def reconstruct(
         masks=masks,
         model_crs=model_crs,
         num_sources=num_sources,
-        stereo_options=StereoOptions(backend=stereo, device=device, threads=threads),
+        stereo_options=StereoOptions(
+            backend=stereo,
+            device=device,
+            min_depth=min_depth,
+            max_depth=max_depth,
+            threads=threads,
+        ),
         products=[name.strip() for name in products.split(",")] if products else [],
         threads=threads,
         progress=make_progress(quiet),
@@ -359,6 +371,11 @@ def stereo(
     device: Device = "auto",
     max_cost: Annotated[float, typer.Option(help="1 - NCC above which there is no depth.")] = 0.8,
     min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
+    min_confidence: Annotated[
+        float, typer.Option(help="Probability to be right below which there is no depth.")
+    ] = 0.6,
+    min_depth: MinDepth = None,
+    max_depth: MaxDepth = None,
     explain: Annotated[
         str | None,
         typer.Option(help="Estimate nothing: draw what was found in this (sub-)image, and why."),
@@ -378,7 +395,7 @@ def stereo(
 
     folder = Workspace(workspace)
     if explain is not None:
-        if given := _given(context, "stereo", "device", "max_cost", "min_consistent", "threads"):
+        if given := _given(context, "stereo", "device", "max_cost", "min_consistent", "min_confidence", "min_depth", "max_depth", "threads"):
             raise InputError(
                 f"{given[0]} belongs to the estimate, and --explain draws the one that is there: give "
                 "one of the two"
@@ -392,6 +409,9 @@ def stereo(
         device=device,
         max_cost=max_cost,
         min_consistent=min_consistent,
+        min_confidence=min_confidence,
+        min_depth=min_depth,
+        max_depth=max_depth,
         threads=threads,
     )
     run(folder, options=options, progress=make_progress(quiet))
@@ -407,6 +427,10 @@ def fuse(
     ] = 1.0,
     keep_duplicates: Annotated[
         bool, typer.Option(help="Every view emits the surface, not only the one that sees it best.")
+    ] = False,
+    thin: Annotated[
+        bool,
+        typer.Option(help="Where coarser pixels gave the depth: one point for each of them."),
     ] = False,
     format: Annotated[
         str | None,
@@ -434,6 +458,7 @@ def fuse(
         min_consistent=min_consistent,
         consistency=consistency,
         keep_duplicates=keep_duplicates,
+        thin=thin,
         threads=threads,
     )
     if format is None and (tiles or spacing is not None):

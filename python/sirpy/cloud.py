@@ -123,7 +123,8 @@ def _moved(points: Points, frame: Frame) -> Points:
     normal = rotated(np.column_stack([points["nx"], points["ny"], points["nz"]]), frame.rotation)
     for axis, (place, direction) in enumerate(zip("xyz", ("nx", "ny", "nz"), strict=True)):
         points[place], points[direction] = world[:, axis], normal[:, axis]
-    points["gsd"] *= np.float32(frame.scale)
+    for name in ("gsd", "sigma"):
+        points[name] *= np.float32(frame.scale)
     return points
 
 

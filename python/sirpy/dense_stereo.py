@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
@@ -29,6 +29,7 @@ from sirpy.judging import Judge
 from sirpy.memory import give_back
 from sirpy.native_images import NativeImage, SubImage
 from sirpy.native_scene import read_native_scene
+from sirpy.photograph_detail import stored_detail
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
 from sirpy.settling import is_supported
@@ -138,6 +139,7 @@ class _Estimator:
         self._natives = {native.name: native for native in workspace.natives}
         self._covered = {native.name: native.covered for native in workspace.natives}
         self._fields: dict[tuple[str, bool], ViewField] = {}
+        self._noise: dict[str, npt.NDArray[np.float32]] = {}
         self._whole: PassMaps | None = None  # what the last pass over whole photographs found
         self._coarser: PassMaps | None = None
 
@@ -249,7 +251,14 @@ class _Estimator:
             self._source(field.sources[index], index, found, of_pass, depths)
             for index, found in windows.items()
         ]
-        return self._view(native, window, level), [one for one in sources if one is not None]
+        view = replace(self._view(native, window, level), noise=self._noise_of(native)[level])
+        return view, [one for one in sources if one is not None]
+
+    def _noise_of(self, native: NativeImage) -> npt.NDArray[np.float32]:
+        """(levels, 16), by brightness."""
+        if native.name not in self._noise:
+            self._noise[native.name] = stored_detail(self._workspace, native).noise
+        return self._noise[native.name]
 
     def _depth_range(self, native: NativeImage, window: Rectangle, level: int) -> DepthRange:
         covered = native_pixels(window, level, native.rectangle)
@@ -262,7 +271,8 @@ class _Estimator:
         if key not in self._fields:
             field, seen = self._views.fields[native.name], self._scene.observations[native.name]
             if whole:
-                field = searched_everywhere(field, seen)
+                limits = self._options.min_depth, self._options.max_depth
+                field = searched_everywhere(field, seen, limits)
             elif self._whole is not None and self._whole.has("counts"):
                 least = self._options.min_consistent
                 extent = at_level(native.rectangle, self._whole.level)

@@ -115,7 +115,7 @@ def _panels(workspace: Workspace, frame: Frame) -> list[_Panel]:
         _depth_panel(depth, normal),
         _Panel("normals (right red, up green, towards the camera blue)", _normal_colours(normal)),
         _Panel(
-            "confidence (probability to be right within 2 pixels' worth)",
+            "confidence (probability to be right)",
             np.where((depth > 0)[..., None], _sureness(confidence), MISSING_COLOUR).astype(
                 np.uint8
             ),

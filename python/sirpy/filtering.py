@@ -32,7 +32,7 @@ _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the ma
 RIGHT_UNITS, RIGHT_DEVIATIONS = 2.0, 2.5
 
 # Log-odds that a depth is right, for one unit of each `evidence`. Fitted by benchmarks/confidence.py.
-CONFIDENCE = np.array([-2.043, 0.122, 2.273, -0.605, 4.562, -0.331, 0.0, 0.0, 0.0])
+CONFIDENCE = np.array([-3.085, 0.075, 0.782, -0.714, 3.563, -0.355, 0.138, -2.023, 2.677])
 # The same of depths that a network found without a look at those of the sources.
 JUDGED_CONFIDENCE = np.array([-3.658, 0.235, 2.411, -2.338, 2.324, -0.512, 0.0, 0.0, 0.0])
 
@@ -77,7 +77,7 @@ class FilterOptions:
     min_consistent: int = 2  # sources whose depth must agree
     # The same for pixels above max_cost: noise decides there, not texture.
     costly_consistent: int = 5
-    min_confidence: float = 0.5  # of a depth to be right
+    min_confidence: float = 0.6  # of a depth to be right
     max_angle: float = 80.0  # degrees between ray and normal
     speckle_pixels: int = 6  # smaller islands are left out; at most the halo
     speckle_consistent: int = 3  # sources that must agree on a pixel of an island all the same

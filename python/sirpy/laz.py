@@ -1,7 +1,7 @@
 """The cloud as LAZ: LAS 1.4, point format 7, compressed by lazrs, written as a stream.
 
 Coordinates are whole multiples of a power of ten, colours fill 16 bits as the format wants, and what it has no place
-for are extra dimensions: `views`, `confidence`, `gsd`. There is no date in it, so that the same cloud gives the
+for are extra dimensions: `views`, `confidence`, `gsd`, `sigma`, `level`. There is no date in it, so that the same cloud gives the
 same bytes.
 """
 
@@ -74,6 +74,8 @@ def write_las(
             laspy.ExtraBytesParams("views", np.uint8, "photographs that agree"),
             laspy.ExtraBytesParams("confidence", np.float32, "0 to 1"),
             laspy.ExtraBytesParams("gsd", np.float32, "of the pixel, unit of x and y"),
+            laspy.ExtraBytesParams("sigma", np.float32, "along the ray, unit of x and y"),
+            laspy.ExtraBytesParams("level", np.uint8, "2^level pixels gave the depth"),
         ]
     )
     if crs is not None:
@@ -117,7 +119,8 @@ def _record(points: Points, header: laspy.LasHeader) -> Any:
         record[name] = points[name].astype(np.uint16) * 257
     record["return_number"][:] = record["number_of_returns"][:] = 1
     record["views"] = points["views"]
-    for name in ("confidence", "gsd"):
+    record["level"] = points["level"]
+    for name in ("confidence", "gsd", "sigma"):
         record[name] = _rounded(points[name])
     return record
 

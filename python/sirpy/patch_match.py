@@ -113,7 +113,10 @@ class PatchMatch(StereoBackend):
             options.space_sigma = float(os.environ['SS'])
         options.everywhere = self.everywhere
         import os
-        options.noise = [max(2 / 4**self.level, 1 / 12)] * 16
+        if reference.noise is not None and 'NONOISE' not in os.environ:
+            options.noise = reference.noise.tolist()
+        else:
+            options.noise = [max(2 / 4**self.level, 1 / 12)] * 16
         if 'PW' in os.environ:
             options.prior_weight = float(os.environ['PW'])
         if 'NOISE' in os.environ:

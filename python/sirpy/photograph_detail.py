@@ -12,6 +12,7 @@ import numpy as np
 from sirpy import _core
 from sirpy.detail import WINDOW, Detail, measure_detail, sample_windows
 from sirpy.errors import InputError
+from sirpy.native_images import NativeImage
 from sirpy.noise import Grey
 from sirpy.photographs import open_photograph, push_rows, recapture_to_array, white_level
 from sirpy.rectangle import Rectangle
@@ -64,10 +65,15 @@ def stored_details(workspace: Workspace) -> dict[str, Detail]:
     """
     found = {}
     for name in _some([native.name for native in workspace.natives]):
-        covered = workspace.native(name).covered
-        read = partial(_read_stored, workspace, name, covered)
-        found[name] = measure_detail(read, covered.width, covered.height)
+        found[name] = stored_detail(workspace, workspace.native(name))
     return found
+
+
+def stored_detail(workspace: Workspace, native: NativeImage) -> Detail:
+    """Of an undistorted photograph, from its sub-images; raises InputError as `stored_details`."""
+    covered = native.covered
+    read = partial(_read_stored, workspace, native.name, covered)
+    return measure_detail(read, covered.width, covered.height)
 
 
 def _read_stored(workspace: Workspace, name: str, covered: Rectangle, one: Rectangle) -> Grey:

@@ -51,6 +51,8 @@ class StereoOptions(FilterOptions):
 
     backend: str = DEFAULT_BACKEND  # a name of the entry points `sirpy.stereo`
     device: str = "auto"  # of networks: auto is a GPU where torch sees one
+    min_depth: float | None = None  # of the scene, unit of the model; None: by the sparse points, generously
+    max_depth: float | None = None
     top_views: int = 4  # sources that a pixel is matched against, at most
     native_iterations: int = 3  # sweeps at native resolution, photometric pass
     geometric_iterations: int = 1  # sweeps of the geometric pass there
@@ -66,6 +68,13 @@ class StereoOptions(FilterOptions):
             "threads": (0, 1024),
         }
         check_bounds(self, bounds)
+        near, far = self.min_depth, self.max_depth
+        if not (near is None or 0 < near < float("inf")) or not (
+            far is None or (near or 0) < far < float("inf")
+        ):
+            raise InputError(
+                f"depths from {near} to {far} are not possible: choose a nearest one above 0 and a farthest one above it"
+            )
         if self.device not in DEVICES:
             raise InputError(f"--device {self.device} is not possible: choose {', '.join(DEVICES)}")
 
@@ -83,6 +92,7 @@ class View:
         index: of a source, in the field's table; its bit in `ViewField.allowed`.
         depth: of a source in a geometric pass, (height, width); 0 where there is none.
         sigma: its standard deviation; None where the pass before does not say.
+        noise: of the reference, variance of its grey levels by 16 steps of brightness, at the level.
     """
 
     camera: NativeCamera
@@ -93,6 +103,7 @@ class View:
     index: int = -1
     depth: FloatMap | None = None
     sigma: FloatMap | None = None
+    noise: FloatMap | None = None
 
     @property
     def name(self) -> str:
