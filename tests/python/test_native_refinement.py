@@ -132,6 +132,18 @@ def test_other_exposures_and_moved_cars_do_not_matter(scene: Path, tmp_path: Pat
     assert len(made.record.images) == 6
 
 
+def test_photographs_of_extreme_compression_end_well(scene: Path, tmp_path: Path) -> None:
+    """Blocks of one value each, which match perfectly or hardly tell where: counted, never an error."""
+    images = tmp_path / "images"
+    images.mkdir()
+    for path in (scene / "images").iterdir():
+        Image.open(path).save(images / path.name, quality=1)
+    record = refine(images, scene / "rough", tmp_path / "model", threads=2).record
+    assert len(record.images) == 6 and not record.left_out
+    assert sum(image.unmatched["weak"] for image in record.images) > 100
+    assert np.isfinite(record.sigma0)
+
+
 def test_a_damaged_photograph_is_left_out_and_named(scene: Path, tmp_path: Path) -> None:
     images = tmp_path / "images"
     shutil.copytree(scene / "images", images)
