@@ -117,7 +117,7 @@ class MatchingOptions:
     max_deviation: float
     max_distortion: float
     max_saturated: float
-    def __init__(self, radius: int, search_radius: int) -> None: ...
+    def __init__(self, radius: int, search_radius: int, grey_level: float) -> None: ...
 
 def best_textured(
     patches: NDArray[np.uint16],

@@ -19,6 +19,9 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int32]
 Position = tuple[Floats, Floats]  # (3,) and the (3,) standard deviations
 
+# Of a covariance, in units of its trace squared: about its least variance over its largest.
+_LEAST_DETERMINANT = 1e-12
+
 
 @dataclass(frozen=True)
 class Unknowns:
@@ -234,7 +237,10 @@ def _whitening(
         given[mine] = of_image[keypoint[mine]]
     symmetric = np.abs(given[:, 0, 1] - given[:, 1, 0]) <= 1e-6 * np.abs(given).max(axis=(1, 2))
     determinant = given[:, 0, 0] * given[:, 1, 1] - given[:, 0, 1] * given[:, 1, 0]
-    sound = symmetric & np.isfinite(determinant) & (determinant > 0) & (given[:, 0, 0] > 0)
+    trace = given[:, 0, 0] + given[:, 1, 1]
+    # Written so that NaN is not sound. A smaller determinant is that of rounding.
+    sound = symmetric & (trace > 0) & (determinant > _LEAST_DETERMINANT * trace**2)
+    sound &= np.isfinite(determinant)
     if not sound.all():
         first = int(np.flatnonzero(~sound)[0])
         raise InputError(

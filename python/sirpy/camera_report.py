@@ -58,7 +58,7 @@ class ImageResiduals:
 
 @dataclass(frozen=True)
 class Residuals:
-    """What refinement.json says."""
+    """What refinement.json says; `kept`: why the cameras are not those that were adjusted, or None."""
 
     points: int
     observations: int
@@ -66,6 +66,7 @@ class Residuals:
     rms_after: float
     images: tuple[ImageResiduals, ...]
     lenses: tuple[LensResiduals, ...]
+    kept: str | None
 
 
 def read_residuals(workspace: Workspace) -> Residuals | None:
@@ -91,8 +92,9 @@ def camera_section(workspace: Workspace) -> str:
     more = len(found.lenses) - len(shown)
     lenses = "".join(_lens(lens) for lens in sorted(shown, key=lambda lens: lens.camera_id))
     others = f" Of {len(found.lenses)} cameras, those with most observations." if more else ""
+    kept = f"<p>{escape(found.kept[0].upper() + found.kept[1:])}.</p>" if found.kept else ""
     return (
-        f"<h2>The cameras</h2><p>{found.points:,} tie points were measured at native resolution, "
+        f"<h2>The cameras</h2>{kept}<p>{found.points:,} tie points were measured at native resolution, "
         f"{found.observations:,} times. Their residuals, observed less projected, had an rms of "
         f"{found.rms_before:.3f} px before the adjustment and have {found.rms_after:.3f} after it.</p>"
         f'<div class="card">{_table(found.images)}</div>'
@@ -221,6 +223,7 @@ def _parsed(value: Any) -> Residuals:
             for one in value["images"]
         ),
         tuple(_lens_parsed(one) for one in value["cameras"]),
+        value.get("kept"),  # older files have refined cameras
     )
 
 

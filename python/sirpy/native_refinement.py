@@ -34,7 +34,7 @@ _ENOUGH = 50
 
 @dataclass(frozen=True)
 class Refinement:
-    """`model`: folder of the refined COLMAP model."""
+    """`model`: folder of the COLMAP model that was written; `record.kept` says whether it is not the refined one."""
 
     model: Path
     record: RefinementRecord
@@ -57,6 +57,9 @@ def refine(
     progress: Progress | None = None,
 ) -> Refinement:
     """Refines a COLMAP model in native pixels; writes the model `output`, and refinement.json beside it.
+
+    Where the observations of the given model contradict the refined cameras, `output` is the given model, less
+    photographs that cannot be read.
 
     Every photograph is decoded once, by rows. Memory (`predicted_peak`) does not grow with its size. The same bytes
     for any number of threads.
@@ -84,12 +87,19 @@ def refine(
         steps.advance()
     unread = {out.name for out in tie.left_out}
     weak = [out for out in weak if out.name not in unread]
-    for out in weak:
-        progress.note(f"{out.name} is left out: {out.reason}")
-    left_out = [*tie.left_out, *weak]
-    made = record(given, adjustment, observed, _rejections(arrays, tie), left_out)
+    made = record(
+        *(given, adjustment, observed, _rejections(arrays, tie)),
+        left_out=[*tie.left_out, *weak],
+        unread=list(tie.left_out),
+    )
+    if made.kept:
+        progress.note(made.kept)
+        _take_away(given, unread)
+    else:
+        for out in weak:
+            progress.note(f"{out.name} is left out: {out.reason}")
     with folder_written_whole(output) as folder:
-        adjustment.model.write_binary(folder)
+        (given if made.kept else adjustment.model).write_binary(folder)
     write_record(made, output.with_name("refinement.json"))
     return Refinement(output, made)
 
@@ -204,6 +214,12 @@ def _remove_pairs(model: pycolmap.Reconstruction) -> int:
     for point in removed:
         model.delete_point3D(point)
     return len(removed)
+
+
+def _take_away(model: pycolmap.Reconstruction, names: set[str]) -> None:
+    images = [model.image(i) for i in model.reg_image_ids()]
+    for frame_id in sorted({image.frame_id for image in images if image.name in names}):
+        model.deregister_frame(frame_id)
 
 
 def _remove_weak(model: pycolmap.Reconstruction) -> list[LeftOut]:

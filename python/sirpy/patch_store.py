@@ -20,12 +20,14 @@ class PatchStore:
     Attributes:
         origins: (n, 2) their top-left pixels (x, y) in the photograph.
         white: luma of the brightest pixels.
+        grey_level: luma of what pixels are rounded to.
     """
 
     path: Path
     side: int
     origins: NDArray[np.int64]
     white: int
+    grey_level: int
 
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.uint16]:
         """The luma of some squares, (m, side, side), 16 bit."""
@@ -68,7 +70,8 @@ def cut_patches(
     cutter = _core.PatchCutter(opened.shape, origins, side)
     push_rows(opened, cutter)
     patches = cutter.take(side)
-    white = 255 << 8 if opened.bits == 8 else int(patches.max(initial=1))
+    grey_level = 256 if opened.bits == 8 else 1
+    white = 255 * grey_level if opened.bits == 8 else int(patches.max(initial=1))
     try:
         with path.open("wb") as file:
             patches.tofile(file)
@@ -76,4 +79,4 @@ def cut_patches(
         raise OutputError(
             f"cannot write {path} ({error.strerror or error}): free some space there"
         ) from error
-    return PatchStore(path, side, origins, white)
+    return PatchStore(path, side, origins, white, grey_level)

@@ -17,6 +17,9 @@ from sirpy.model_arrays import Floats
 from sirpy.native_images import LeftOut
 
 _CELLS = 12  # along the longer side of the frame
+# Features contradict cameras where their sum of squares rises by more than so many times what cameras that are
+# exact give, since the given ones fit part of the noise, and by this part of it, since noise is not all chance.
+_CHANCE, _SYSTEMATIC = 4.0, 0.02
 
 
 @dataclass(frozen=True)
@@ -53,9 +56,19 @@ class CameraRecord:
 
 
 @dataclass(frozen=True)
+class FeatureFit:
+    """The given model's own observations, of which the refined cameras know nothing: rms (px) with the given and
+    with the refined cameras, each with the points that fit best; whether they contradict the refined ones."""
+
+    rms_before: float
+    rms_after: float
+    contradict: bool
+
+
+@dataclass(frozen=True)
 class RefinementRecord:
     """`sigma0`: of the residuals, in units of what matching expected; `left_out`: photographs of the given model
-    that are not in the refined one."""
+    that are not in the one written; `kept`: why that has the given cameras, None where it has the refined ones."""
 
     points: int
     observations: int
@@ -65,6 +78,8 @@ class RefinementRecord:
     images: list[ImageRecord]
     cameras: list[CameraRecord]
     left_out: list[LeftOut]
+    features: FeatureFit
+    kept: str | None
     version: int = 1
 
 
@@ -74,14 +89,19 @@ def record(
     observed: dict[int, int],
     unmatched: dict[int, dict[str, int]],
     left_out: list[LeftOut],
+    unread: list[LeftOut],
 ) -> RefinementRecord:
     """The residuals of the same observations before and after.
 
     Args:
         given: the model before; its cameras are taken, with the points that fit them best.
         observed, unmatched: by image id, tie points that were matched there, and how the others ended.
+        left_out: of the refined model.
+        unread: those of them that could not be read.
     """
     after = adjustment.model
+    features = feature_fit(given, after)
+    kept = _why_kept(features) if features.contradict else None
     before = _residuals(_with_cameras(after, given))
     residuals = _residuals(after)
     ids = sorted(after.reg_image_ids())
@@ -109,7 +129,40 @@ def record(
         adjustment.sigma0,
         images,
         cameras,
-        left_out,
+        unread if kept else left_out,
+        features,
+        kept,
+    )
+
+
+def feature_fit(given: pycolmap.Reconstruction, refined: pycolmap.Reconstruction) -> FeatureFit:
+    """Of the photographs of both models.
+
+    Each adjustment fits its own observations best, however wrong they are together; those of the other tell.
+    """
+    model = pycolmap.Reconstruction(given)
+    for frame_id in set(given.reg_frame_ids()) - set(refined.reg_frame_ids()):
+        model.deregister_frame(frame_id)
+    before, after = (
+        np.concatenate([r for _, r in _residuals(_with_cameras(model, cameras)).values()])
+        for cameras in (model, refined)
+    )
+    known = np.isfinite(before).all(axis=1)  # not behind a camera
+    before, after = before[known], after[known]
+    lenses = {model.image(i).camera_id for i in model.reg_image_ids()}
+    unknowns = 6 * model.num_reg_frames() + sum(len(model.camera(i).params) for i in lenses)
+    redundancy = max(before.size - 3 * model.num_points3D() - unknowns, 1)
+    limit = np.sqrt(1 + _SYSTEMATIC + _CHANCE * unknowns / redundancy)
+    rms_before, rms_after = _rms(before), _rms(after)
+    # Written so that NaN, of points behind refined cameras, contradicts.
+    return FeatureFit(rms_before, rms_after, not rms_after <= limit * rms_before)
+
+
+def _why_kept(features: FeatureFit) -> str:
+    return (
+        "the features of the decimated photographs contradict the cameras refined at native resolution (rms "
+        f"{features.rms_after:.2f} px instead of {features.rms_before:.2f}; strong compression?): the decimated "
+        "cameras are kept"
     )
 
 
@@ -148,10 +201,10 @@ def _residuals(model: pycolmap.Reconstruction) -> dict[int, tuple[Floats, Floats
 
 
 def _with_cameras(
-    adjusted: pycolmap.Reconstruction, given: pycolmap.Reconstruction
+    observed: pycolmap.Reconstruction, given: pycolmap.Reconstruction
 ) -> pycolmap.Reconstruction:
-    """The observations of `adjusted` with the cameras of `given`, and points adjusted to these."""
-    model = pycolmap.Reconstruction(adjusted)
+    """The observations of `observed` with the cameras of `given`, and points adjusted to these."""
+    model = pycolmap.Reconstruction(observed)
     config = pycolmap.BundleAdjustmentConfig()
     for camera_id, camera in model.cameras.items():
         camera.params = given.camera(camera_id).params

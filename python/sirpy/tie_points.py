@@ -137,7 +137,8 @@ class _Matching:
         threads: int,
     ) -> None:
         self._model, self._views, self._stores = model, views, stores
-        self._options = _core.MatchingOptions(_RADIUS, search)
+        grey_level = max((store.grey_level for store in stores.values()), default=1)
+        self._options = _core.MatchingOptions(_RADIUS, search, grey_level)
         self._threads = threads
         count = len(views.image)
         self._status = np.full(count, -1, np.int8)  # not searched

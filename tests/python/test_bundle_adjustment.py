@@ -363,9 +363,24 @@ def test_a_covariance_that_is_none_is_named() -> None:
     known[2][7] = [[1, 2], [2, 1]]
     with pytest.raises(InputError, match=r"keypoint 7 of 2\.jpg has a covariance"):
         bundle_adjust(model, known)
+    # One whose determinant is above zero by rounding alone, and that has no Cholesky factor.
+    a, b, c = 0.6068204161887052, 0.6321658267417429, 0.6585698533514664
+    for singular in [[a, b], [b, c]], np.zeros((2, 2)), np.full((2, 2), np.nan):
+        known[2][7] = singular
+        with pytest.raises(InputError, match=r"keypoint 7 of 2\.jpg has a covariance"):
+            bundle_adjust(model, known)
     del known[2]
     with pytest.raises(InputError, match=r"the covariances of 2\.jpg are not one 2x2 matrix"):
         bundle_adjust(model, known)
+
+
+def test_covariances_of_single_precision_serve_too() -> None:
+    """A position that is known a thousand times as well across an edge as along it."""
+    model = true_model()
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    narrow = (turn @ np.diag([1.0, 1e-6]) @ turn.T).astype(np.float32)
+    done = bundle_adjust(disturbed(model), covariances(model, narrow), refine=HELD)
+    assert centre_error(done.model, model) < 1e-6
 
 
 def test_the_same_bytes_from_every_process(tmp_path: Path) -> None:

@@ -162,6 +162,14 @@ def test_without_refinement_there_is_no_section(tmp_path: Path) -> None:
     assert camera_section(Workspace(tmp_path)) == ""
 
 
+def test_cameras_that_were_kept_are_said_to_be(tmp_path: Path) -> None:
+    said = "The features contradict the cameras (1 < 2 px): the decimated cameras are kept."
+    value = {**refinement(), "kept": said[0].lower() + said[1:-1]}
+    page = camera_section(workspace_with(tmp_path / "kept", value))
+    assert f"<p>{said.replace('<', '&lt;')}</p>" in page
+    assert "kept" not in camera_section(workspace_with(tmp_path / "refined", refinement()))
+
+
 @pytest.mark.parametrize(
     ("key", "value"), [("version", 2), ("cameras", [{}]), ("images", None), ("points", "many")]
 )

@@ -15,6 +15,7 @@ from sirpy.errors import InputError, OutputError
 from sirpy.model_arrays import read_arrays
 from sirpy.model_files import model_identity
 from sirpy.native_refinement import Refinement, refine
+from sirpy.progress import Progress
 from sirpy.refinement_record import read_left_out
 from sirpy.synthetic import render_scene
 
@@ -69,7 +70,7 @@ def test_cameras_are_several_times_better_than_those_of_rough_observations(
     for name in before:
         assert after[name] < before[name] / 3, (name, before, after)
     assert after["consistency"] < 0.1
-    assert not refined.record.left_out
+    assert not refined.record.left_out and refined.record.kept is None
 
 
 def test_the_record_says_what_was_found(scene: Path, refined: Refinement) -> None:
@@ -130,6 +131,63 @@ def test_other_exposures_and_moved_cars_do_not_matter(scene: Path, tmp_path: Pat
     found = errors(made.model, scene)
     assert found["consistency"] < 0.12, found
     assert len(made.record.images) == 6
+
+
+def compressed(scene: Path, folder: Path, quality: int) -> Path:
+    folder.mkdir()
+    for path in (scene / "images").iterdir():
+        Image.open(path).save(folder / path.name, quality=quality)
+    return folder
+
+
+class Notes(Progress):
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+@pytest.mark.parametrize("quality", [1, 3])
+def test_of_extreme_compression_the_decimated_cameras_are_kept(
+    scene: Path, tmp_path: Path, quality: int
+) -> None:
+    """Blocks of one value each, which match perfectly or hardly tell where."""
+    images, output, progress = tmp_path / "images", tmp_path / "model", Notes()
+    compressed(scene, images, quality)
+    made = refine(images, scene / "rough", output, threads=2, progress=progress)
+    record = made.record
+    assert model_identity(made.model) == model_identity(scene / "rough")
+    assert record.features.rms_after > 1.1 * record.features.rms_before
+    assert progress.notes == [record.kept]
+    assert record.kept is not None and record.kept.endswith("the decimated cameras are kept")
+    assert len(record.images) == 6 and not record.left_out
+    assert sum(image.unmatched["weak"] for image in record.images) > 50
+    assert np.isfinite(record.sigma0)
+
+
+def test_of_usual_compression_they_are_refined(scene: Path, tmp_path: Path) -> None:
+    made = refine(
+        compressed(scene, tmp_path / "images", 50), scene / "rough", tmp_path / "model", threads=2
+    )
+    assert made.record.kept is None
+    assert errors(made.model, scene)["centres"] < 0.7 * errors(scene / "rough", scene)["centres"]
+
+
+def test_kept_cameras_are_without_photographs_that_cannot_be_read(
+    scene: Path, tmp_path: Path
+) -> None:
+    images = compressed(scene, tmp_path / "images", 3)
+    first, *others = sorted(path.name for path in images.iterdir())
+    (images / first).write_bytes(b"no photograph")
+    made = refine(images, scene / "rough", tmp_path / "model", threads=2)
+    assert made.record.kept is not None
+    assert [out.name for out in made.record.left_out] == [first]
+    model, rough_model = pycolmap.Reconstruction(made.model), read_arrays(scene / "rough")
+    assert sorted(image.name for image in model.images.values()) == others
+    poses = {image.name: image.cam_from_world for image in rough_model.images}
+    for image in read_arrays(made.model).images:
+        np.testing.assert_array_equal(image.cam_from_world, poses[image.name])
 
 
 def test_a_damaged_photograph_is_left_out_and_named(scene: Path, tmp_path: Path) -> None:

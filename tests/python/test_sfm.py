@@ -15,6 +15,7 @@ from sirpy.errors import BudgetError, InputError, OutputError
 from sirpy.model_arrays import read_arrays
 from sirpy.model_files import model_identity
 from sirpy.progress import Progress
+from sirpy.refinement_record import FeatureFit
 from sirpy.sfm import predicted_refinement_peak, refine_cameras, sfm
 from sirpy.sfm_options import SfmOptions
 from sirpy.workspace import Workspace
@@ -71,6 +72,10 @@ def focal(model: Path) -> float:
     return float(camera.params[0])
 
 
+def poses(model: Path) -> dict[str, list[list[float]]]:
+    return {image.name: image.cam_from_world.tolist() for image in read_arrays(model).images}
+
+
 def test_the_output_is_a_model_and_nothing_else(made: Path) -> None:
     names = {path.name for path in made.iterdir()}
     assert names == {f"{n}.bin" for n in ("cameras", "images", "points3D", "rigs", "frames")}
@@ -101,6 +106,21 @@ def test_refinement_comes_and_goes_without_another_structure_from_motion(
     assert without.refinement is None and model_identity(copy) == plain
     assert not workspace.refinement.exists() and workspace.solved_model == workspace.sfm_model
     assert workspace.sfm_task.stat().st_mtime_ns == solved
+
+
+def test_kept_cameras_are_resumed_like_refined_ones(
+    photographs: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    contradicted = FeatureFit(1.0, 2.0, contradict=True)
+    monkeypatch.setattr("sirpy.refinement_record.feature_fit", lambda *_: contradicted)
+    workspace, plain = Workspace(copy.with_name("model.sfm")), poses(copy)
+    result = sfm(photographs, copy, options=SMALL)
+    assert workspace.is_refined and poses(copy) == plain
+    made = model_identity(copy)
+    assert "2.00 px instead of 1.00" in workspace.refinement.read_text()
+    written = workspace.refinement.stat().st_mtime_ns
+    assert sfm(photographs, copy, options=SMALL) == result
+    assert workspace.refinement.stat().st_mtime_ns == written and model_identity(copy) == made
 
 
 def test_refinement_stays_within_the_memory_allowed(photographs: Path, copy: Path) -> None:

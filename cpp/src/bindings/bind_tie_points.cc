@@ -154,13 +154,14 @@ void BindTiePoints(py::module_& module) {
       .def("take", &TakePatches, py::arg("side"));
 
   py::class_<MatchingOptions>(module, "MatchingOptions")
-      .def(py::init([](int radius, int search_radius) {
+      .def(py::init([](int radius, int search_radius, double grey_level) {
              MatchingOptions options;
              options.radius = radius;
              options.search_radius = search_radius;
+             options.grey_level = grey_level;
              return options;
            }),
-           py::arg("radius"), py::arg("search_radius"))
+           py::arg("radius"), py::arg("search_radius"), py::arg("grey_level"))
       .def_readwrite("min_correlation", &MatchingOptions::min_correlation)
       .def_readwrite("max_rival", &MatchingOptions::max_rival)
       .def_readwrite("max_deviation", &MatchingOptions::max_deviation)

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
+#include <vector>
 
 #include <Eigen/Dense>
 
@@ -16,6 +18,8 @@ constexpr int kMaxIterations = 20;
 constexpr double kConverged = 0.002;   // pixels
 constexpr double kMaxStep = 2.0;       // pixels, in all: the search is good to less than one
 constexpr double kPeakDistance = 3.0;  // pixels: what is nearer belongs to the same peak
+// Of the scaled normal equations: smaller pivots are those of unknowns that are not determined.
+constexpr double kLeastPivot = 1e-10;
 
 // Keys' weights of four neighbours at distance `t` behind the second, and their derivatives.
 void Bicubic(double t, double* weights, double* slopes) {
@@ -68,8 +72,12 @@ bool Fits(const LumaPatch& patch, const Eigen::Vector2i& centre, int radius) {
   return centre.minCoeff() >= radius && centre.maxCoeff() + radius < patch.side;
 }
 
-// The reference's window without its mean, of length 1; empty where it is without texture.
-std::vector<float> Normalised(const LumaPatch& patch, const Eigen::Vector2i& centre, int radius) {
+struct Window {
+  std::vector<float> values;  // without their mean, of length 1; empty without texture
+  double variance = 0;        // before that
+};
+
+Window Normalised(const LumaPatch& patch, const Eigen::Vector2i& centre, int radius) {
   std::vector<float> window;
   double sum = 0;
   for (int y = -radius; y <= radius; ++y) {
@@ -87,7 +95,8 @@ std::vector<float> Normalised(const LumaPatch& patch, const Eigen::Vector2i& cen
   if (squares <= 0) return {};
   const float scale = static_cast<float>(1 / std::sqrt(squares));
   for (float& value : window) value *= scale;
-  return window;
+  const double variance = squares / window.size();
+  return {std::move(window), variance};
 }
 
 struct Peak {
@@ -236,6 +245,38 @@ bool MakeRound(const LumaPatch& reference, const Eigen::Vector2i& centre, const 
   return true;
 }
 
+// The normal equations with all unknowns scaled to one size: that of the gain is some powers of ten
+// away from that of the position.
+class ScaledEquations {
+ public:
+  explicit ScaledEquations(const Normal& normal)
+      : inverse_(normal.diagonal().cwiseMax(0).cwiseSqrt().cwiseInverse()),
+        factor_(inverse_.asDiagonal() * normal * inverse_.asDiagonal()) {}
+
+  // False where the window is flat or has an edge alone.
+  bool Determined() const {
+    return inverse_.allFinite() && factor_.info() == Eigen::Success &&
+           factor_.matrixLLT().diagonal().minCoeff() >= std::sqrt(kLeastPivot);
+  }
+
+  Unknowns Solve(const Unknowns& right) const {
+    return inverse_.asDiagonal() * factor_.solve(inverse_.asDiagonal() * right);
+  }
+
+  // Of the position, for observations of variance 1. A square, which rounding leaves symmetric and
+  // not negative.
+  Eigen::Matrix2d Covariance() const {
+    const Eigen::Matrix<double, 8, 2> position =
+        Eigen::Matrix<double, 8, 2>::Identity() * inverse_.head<2>().asDiagonal();
+    const Eigen::Matrix<double, 8, 2> root = factor_.matrixL().solve(position);
+    return root.transpose() * root;
+  }
+
+ private:
+  Unknowns inverse_;  // of the sizes
+  Eigen::LLT<Normal> factor_;
+};
+
 void Add(const Unknowns& step, PatchMap* map) {
   map->position += step.head<2>();
   map->affine(0, 0) += step[2];
@@ -302,29 +343,32 @@ PatchMatch MatchPatch(const LumaPatch& reference, const Eigen::Vector2i& centre,
                       const MatchingOptions& options) {
   PatchMatch match;
   match.map = predicted;
-  const int radius = options.radius;
+  const int radius = options.radius, search = options.search_radius;
   if (!Fits(reference, centre, radius)) return match;
-  const std::vector<float> resampled = Resampled(target, predicted, radius + options.search_radius);
+  const std::vector<float> resampled = Resampled(target, predicted, radius + search);
   if (resampled.empty()) return match;
   if (SaturatedShare(reference, centre, radius) > options.max_saturated) {
     match.status = MatchStatus::kSaturated;
     return match;
   }
-  const std::vector<float> window = Normalised(reference, centre, radius);
-  if (window.empty()) {
+  const Window window = Normalised(reference, centre, radius);
+  if (window.values.empty()) {
     match.status = MatchStatus::kWeak;
     return match;
   }
-  const auto [best, rival] =
-      Peaks(Correlations(window, radius, resampled, options.search_radius), options.search_radius);
+  const auto [best, rival] = Peaks(Correlations(window.values, radius, resampled, search), search);
   match.correlation = best.correlation;
   match.status = MatchStatus::kUnlike;
   // Before the shape is adjusted the best place may look a little less alike.
   if (best.correlation < options.min_correlation - 0.2) return match;
   match.status = MatchStatus::kAmbiguous;
-  if (1 - best.correlation > options.max_rival * (1 - rival.correlation)) return match;
+  // What looks the same in all grey levels differs by less than they tell.
+  const double rounding = options.grey_level * options.grey_level / 12;
+  const double least = rounding / window.variance;
+  const auto distance = [least](const Peak& peak) { return std::max(1 - peak.correlation, least); };
+  if (distance(best) > options.max_rival * distance(rival)) return match;
   match.status = MatchStatus::kDistorted;
-  if (std::max(std::abs(best.x), std::abs(best.y)) == options.search_radius) return match;
+  if (std::max(std::abs(best.x), std::abs(best.y)) == search) return match;
 
   const Eigen::Vector2d found =
       predicted.position + predicted.affine * Eigen::Vector2d(best.x, best.y);
@@ -343,11 +387,12 @@ PatchMatch MatchPatch(const LumaPatch& reference, const Eigen::Vector2i& centre,
       return match;
     }
     if (converged) break;
-    const Unknowns step = round.normal.ldlt().solve(round.right);
-    if (!step.allFinite()) {
+    const ScaledEquations equations(round.normal);
+    if (!equations.Determined()) {
       match.status = MatchStatus::kWeak;
       return match;
     }
+    const Unknowns step = equations.Solve(round.right);
     Add(step, &match.map);
     if ((match.map.position - found).norm() > kMaxStep * predicted.affine.norm()) return match;
     converged = step.head<2>().norm() < kConverged;
@@ -356,12 +401,16 @@ PatchMatch MatchPatch(const LumaPatch& reference, const Eigen::Vector2i& centre,
   if (!converged) return match;
   const Eigen::Matrix2d distortion =
       predicted.affine.inverse() * match.map.affine - Eigen::Matrix2d::Identity();
-  if (distortion.norm() > options.max_distortion || match.map.gain <= 0) return match;
+  // Written so that NaN is too far.
+  if (!(distortion.norm() <= options.max_distortion && match.map.gain > 0)) return match;
   match.status = MatchStatus::kUnlike;
   if (round.correlation < options.min_correlation) return match;
-  const double variance = round.squares / std::max(1.0, round.weights - 8);
-  match.covariance = variance * round.normal.inverse().topLeftCorner<2, 2>();
   match.status = MatchStatus::kWeak;
+  const ScaledEquations equations(round.normal);
+  if (!equations.Determined()) return match;
+  // Residuals of zero are those of a posterised photograph, not of a perfect one.
+  const double variance = std::max(round.squares / std::max(1.0, round.weights - 8), rounding);
+  match.covariance = variance * equations.Covariance();
   const double largest = match.covariance.selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff();
   if (!(largest <= options.max_deviation * options.max_deviation)) return match;
   match.status = MatchStatus::kMatched;

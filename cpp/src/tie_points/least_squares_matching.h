@@ -29,6 +29,7 @@ struct MatchingOptions {
   double max_deviation = 0.2;  // standard deviation of the position, pixels of the target
   double max_distortion = 0.5;  // of the affine map beside the predicted one
   double max_saturated = 0.1;   // share of the window, in either photograph
+  double grey_level = 256;      // luma: what the coarser photograph rounds to
 };
 
 enum class MatchStatus : uint8_t {
@@ -38,7 +39,7 @@ enum class MatchStatus : uint8_t {
   kUnlike,     // nothing that looks alike: hidden, moving, water
   kAmbiguous,  // two places that look alike: repeated patterns
   kDistorted,  // the shape or the place that fits best is far from what was predicted
-  kWeak,       // the place is not well known: too little texture, or an edge
+  kWeak,       // the place is not well known: too little texture, few grey levels, or an edge
 };
 
 // target(position + affine * u) * gain + offset = reference(centre + u).
@@ -60,8 +61,9 @@ bool PixelDifference(const LumaPatch& target, const PatchMap& map, const Eigen::
 struct PatchMatch {
   MatchStatus status = MatchStatus::kOutside;
   PatchMap map;
-  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  // of the position, pixels squared
-  double correlation = 0;                                // normalised, of the windows in the end
+  // Of the position, pixels squared; of what is matched, positive definite.
+  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();
+  double correlation = 0;  // normalised, of the windows in the end
 };
 
 // The pixel within `radius` of `start` whose window (of options.radius) has the most texture in its

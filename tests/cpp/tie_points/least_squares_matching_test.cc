@@ -178,6 +178,98 @@ TEST(MatchPatch, AnEdgeOrNoTextureIsWeak) {
             MatchStatus::kWeak);
 }
 
+// A photograph of an extreme compression: 8x8 blocks of one value each, of few grey levels.
+Surface Blocks(const Surface& surface, double level) {
+  return [=](const Vector2d& p) {
+    const Vector2d middle = ((p.array() / 8).floor() + 0.5) * 8;
+    return std::round(surface(middle) / level) * level;
+  };
+}
+
+// What least squares may weigh by: the same in both triangles, and none of the directions exact.
+void ExpectSound(const Matrix2d& covariance) {
+  EXPECT_EQ(covariance(0, 1), covariance(1, 0));
+  const double least = covariance.selfadjointView<Eigen::Lower>().eigenvalues().minCoeff();
+  EXPECT_GT(least, 1e-8);
+}
+
+TEST(MatchPatch, PosterisedSurroundingsAreWeakOrHaveASoundCovariance) {
+  int weak = 0, matched = 0;
+  for (int i = 0; i < 200; ++i) {
+    const Texture texture(i);
+    const Surface smooth = [&](const Vector2d& p) { return texture(p / 6); };
+    const Surface blocks = Blocks(smooth, 256 * (20 + i % 20));
+    const Pixels reference = Photograph(blocks, 0, 1);
+    // The grid of the blocks stays where it is; the other exposure is of other grey levels.
+    const double gain = i % 3 == 0 ? 0.8 : 1;
+    const Pixels target = Photograph([&](const Vector2d& p) { return gain * blocks(p); }, 0, 1);
+    const PatchMatch match = Match(reference, target, Predicted());
+    weak += match.status == MatchStatus::kWeak;
+    if (match.status != MatchStatus::kMatched) continue;
+    ++matched;
+    ExpectSound(match.covariance);
+  }
+  EXPECT_GT(weak, 20);
+  EXPECT_GT(matched, 20);
+}
+
+TEST(MatchPatch, AnExactEdgeIsNoTiePoint) {  // no noise tells which direction is not known
+  MatchingOptions options;
+  options.max_rival = 1e9;  // all along the edge is alike: least squares must tell themselves
+  for (const double angle : {0.0, 0.3, 1.1, 0.5 * M_PI}) {
+    const Vector2d across(std::cos(angle), std::sin(angle));
+    const Surface edge = [&](const Vector2d& p) {
+      return 20000 + 8000 * std::tanh(across.dot(p) / 2);
+    };
+    const Pixels pixels = Photograph(edge, 0, 1);
+    EXPECT_EQ(Match(pixels, pixels, Predicted()).status, MatchStatus::kAmbiguous) << angle;
+    const PatchMatch match =
+        MatchPatch(pixels.patch(), {kMiddle, kMiddle}, pixels.patch(), Predicted(), options);
+    // One end of the edge is at the border of what is searched.
+    EXPECT_TRUE(match.status == MatchStatus::kWeak || match.status == MatchStatus::kDistorted)
+        << angle;
+  }
+}
+
+TEST(MatchPatch, ConstantSurroundingsAreWeakAndBrightOnesSaturated) {
+  for (const double value : {0.0, 256.0, 30000.0}) {
+    const Pixels flat = Photograph([&](const Vector2d&) { return value; }, 0, 1);
+    EXPECT_EQ(Match(flat, flat, Predicted()).status, MatchStatus::kWeak) << value;
+    // In one photograph alone.
+    const Pixels textured = Photograph(Texture(2), 0, 1);
+    EXPECT_EQ(Match(flat, textured, Predicted()).status, MatchStatus::kWeak) << value;
+    EXPECT_EQ(Match(textured, flat, Predicted()).status, MatchStatus::kUnlike) << value;
+  }
+  const Pixels white = Photograph([](const Vector2d&) { return 65280; }, 0, 1);
+  EXPECT_EQ(Match(white, white, Predicted()).status, MatchStatus::kSaturated);
+}
+
+TEST(MatchPatch, APerfectMatchIsAsGoodAsItsGreyLevelsAndNoBetter) {
+  for (int i = 0; i < 20; ++i) {
+    const Pixels pixels = Photograph(Texture(i), 0, 1);
+    const PatchMatch match = Match(pixels, pixels, Predicted());
+    ASSERT_EQ(match.status, MatchStatus::kMatched) << i;
+    ExpectSound(match.covariance);
+    MatchingOptions coarser;
+    coarser.grey_level = 512;
+    const PatchMatch half =
+        MatchPatch(pixels.patch(), {kMiddle, kMiddle}, pixels.patch(), Predicted(), coarser);
+    EXPECT_NEAR(half.covariance.trace() / match.covariance.trace(), 4, 1e-6);
+  }
+}
+
+TEST(MatchPatch, WhatRepeatsExactlyIsAmbiguous) {  // without noise both fit perfectly
+  for (int i = 0; i < 20; ++i) {
+    const Texture texture(i);
+    const Surface tiles = [&](const Vector2d& p) {
+      const auto of_tile = [](double x) { return x - 7 * std::floor(x / 7); };
+      return texture({of_tile(p.x()), p.y()});
+    };
+    const Pixels pixels = Photograph(tiles, 0, 1);
+    EXPECT_EQ(Match(pixels, pixels, Predicted()).status, MatchStatus::kAmbiguous) << i;
+  }
+}
+
 TEST(MatchPatch, WhatLiesBeyondTheSearchIsNeverMatched) {
   const Texture texture(5);
   for (const double far : {9.4, 12.0, 20.0}) {
