@@ -32,15 +32,15 @@ struct PatchMatchOptions {
   double largest_step = 2;  // pixels of motion in the sources: the largest refinement at first
   int top_views = 4;        // sources that a pixel is matched against, at most
   double color_sigma = 20;  // grey levels: bilateral weight
-  double space_sigma = 4;   // pixels: bilateral weight
-  double geometric_weight = 0.4;   // cost of one pixel of disagreement with a source's depth
+  double space_sigma = 3;   // pixels: bilateral weight
+  double geometric_weight = 0.2;   // cost of one pixel of disagreement with a source's depth
   double max_geometric_error = 3;  // pixels
   double consistency = 1;          // pixels: two depth maps agree, and
   double agreement = 2.5;          // standard deviations: the larger of both
   // Grey levels squared: the variance of noise, by 16 steps of brightness. A patch that varies no
   // more keeps the depth of the start.
   std::array<double, 16> noise = {2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2};
-  double prior_weight = 0.3;   // of the depth of the start, by its standard deviation
+  double prior_weight = 0.2;   // of the depth of the start, by its standard deviation
   bool everywhere = false;    // also with a start: depths at random are tried beside it
   uint64_t seed = 0;          // of the run, the native image and the pass
   int threads = 0;            // 0: one for each core

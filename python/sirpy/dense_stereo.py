@@ -257,7 +257,7 @@ class _Estimator:
     def _noise_of(self, native: NativeImage) -> npt.NDArray[np.float32]:
         """(levels, 16), by brightness."""
         if native.name not in self._noise:
-            self._noise[native.name] = stored_detail(self._workspace, native).noise
+            self._noise[native.name] = stored_detail(self._workspace, native).sure_noise
         return self._noise[native.name]
 
     def _depth_range(self, native: NativeImage, window: Rectangle, level: int) -> DepthRange:

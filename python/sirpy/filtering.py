@@ -78,6 +78,7 @@ class FilterOptions:
     # The same for pixels above max_cost: noise decides there, not texture.
     costly_consistent: int = 5
     min_confidence: float = 0.6  # of a depth to be right
+    max_deviation: float = 100.0  # standard deviation, in units of the sources
     max_angle: float = 80.0  # degrees between ray and normal
     speckle_pixels: int = 6  # smaller islands are left out; at most the halo
     speckle_consistent: int = 3  # sources that must agree on a pixel of an island all the same
@@ -95,6 +96,7 @@ class FilterOptions:
             "min_consistent": (0, 32),
             "costly_consistent": (0, 33),
             "min_confidence": (0, 1),
+            "max_deviation": (0, float("inf")),
             "max_angle": (1, 90),
             "speckle_pixels": (0, 100_000),
             "speckle_consistent": (0, 33),
@@ -149,7 +151,9 @@ def filter_depths(
         reason[rows] = _reasons(part, cosine, sure, masked[rows], options)
         evidences = evidence(part, intrinsics[0, 0], tuple(one[rows] for one in around))
         confidence[rows] = probability(evidences, coefficients)
-    reason |= (confidence < options.min_confidence) * np.uint8(Reason.UNSURE)
+    unsure = confidence < options.min_confidence
+    unsure |= estimate.sigma > options.max_deviation * estimate.units(intrinsics[0, 0])
+    reason |= unsure * np.uint8(Reason.UNSURE)
     kept = np.where(reason == 0, estimate.depth, np.float32(0))
     speckle = _core.find_speckles(
         kept,

@@ -104,24 +104,9 @@ class PatchMatch(StereoBackend):
         options.offers = self.offers
         options.largest_step = self.largest_step
         options.top_views = self.options.top_views
-        import os
-        if 'GW' in os.environ:
-            options.geometric_weight = float(os.environ['GW'])
-        if 'CS' in os.environ:
-            options.color_sigma = float(os.environ['CS'])
-        if 'SS' in os.environ:
-            options.space_sigma = float(os.environ['SS'])
         options.everywhere = self.everywhere
-        import os
-        if reference.noise is not None and 'NONOISE' not in os.environ:
+        if reference.noise is not None:
             options.noise = reference.noise.tolist()
-        else:
-            options.noise = [max(2 / 4**self.level, 1 / 12)] * 16
-        if 'PW' in os.environ:
-            options.prior_weight = float(os.environ['PW'])
-        if 'NOISE' in os.environ:
-            n, r = map(float, os.environ['NOISE'].split(','))
-            options.noise = [max(n / r**self.level, 1 / 12)] * 16
         options.threads = self.options.threads
         # The random numbers of an image depend on its name, not on which others there are.
         options.seed = zlib.crc32(f"{self.options.seed} {self.name} {reference.name}".encode())
@@ -177,9 +162,6 @@ def patch_match(setup: Setup) -> list[StereoBackend]:
 def passes(coarsest: int, options: StereoOptions, top: int = 0) -> list[PatchMatch]:
     """As `patch_match`."""
     native, geometric = options.native_iterations, options.geometric_iterations
-    import os
-    E = os.environ.get
-    native = int(E('NI', native)); geometric = int(E('GI', geometric)); JI = int(E('JI', 1)); PI = int(E('PI', 2))
     found = []
     for level in range(max(top, coarsest), coarsest - 1, -1):  # whole photographs, everywhere
         found += [
@@ -188,13 +170,13 @@ def passes(coarsest: int, options: StereoOptions, top: int = 0) -> list[PatchMat
         ]
     for level in range(coarsest - 1, 0, -1):
         found += [
-            PatchMatch(level, "photometric", PI, options=options),
-            PatchMatch(level, "geometric", JI, complete=bool(E("JC")), options=options),
+            PatchMatch(level, "photometric", 2, options=options),
+            PatchMatch(level, "geometric", 1, options=options),
         ]
     return [
         *found,
         PatchMatch(0, "photometric", native, offers=5, options=options),
-        PatchMatch(0, "geometric", geometric, offers=5, complete=bool(E("NC")), options=options),
+        PatchMatch(0, "geometric", geometric, offers=5, options=options),
     ]
 
 

@@ -61,7 +61,7 @@ SIRPY_INLINE Prior LoadPrior(const Level& level, const KernelOptions& options, c
   }
   const Floats variance = group.spread / group.weight_sum;
   const Floats ratio = variance / Noise(level, options, group);
-  prior.trust = Select(prior.rho > 0.f, Exp(ratio * -0.5f), Floats{});
+  prior.trust = Select(prior.rho > 0.f, Exp(ratio * ratio * -0.7f), Floats{});
   return prior;
 }
 
