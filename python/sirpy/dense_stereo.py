@@ -251,14 +251,16 @@ class _Estimator:
             self._source(field.sources[index], index, found, of_pass, depths)
             for index, found in windows.items()
         ]
-        view = replace(self._view(native, window, level), noise=self._noise_of(native)[level])
+        noise = self._noise_of(native, level)
+        view = replace(self._view(native, window, level), noise=noise)
         return view, [one for one in sources if one is not None]
 
-    def _noise_of(self, native: NativeImage) -> npt.NDArray[np.float32]:
-        """(levels, 16), by brightness."""
+    def _noise_of(self, native: NativeImage, level: int) -> npt.NDArray[np.float32]:
+        """(16,), by brightness; of the coarsest levels that of the last one known: hardly any."""
         if native.name not in self._noise:
             self._noise[native.name] = stored_detail(self._workspace, native).sure_noise
-        return self._noise[native.name]
+        noise = self._noise[native.name]
+        return noise[min(level, len(noise) - 1)]
 
     def _depth_range(self, native: NativeImage, window: Rectangle, level: int) -> DepthRange:
         covered = native_pixels(window, level, native.rectangle)

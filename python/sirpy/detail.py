@@ -17,8 +17,7 @@ from sirpy.rectangle import Rectangle
 from sirpy.resolution import measure_resolution
 
 WINDOW = 512  # side in pixels
-_SURE = 1 / 3  # of what is measured
-_HIDING = 0.25  # squared grey levels, times the fourth power of what is resolved
+_HIDING = 0.01  # squared grey levels, times the eighth power of what is resolved
 _LEAST_NATIVE, _LEAST = 2.0, 1 / 12  # squared grey levels: of every camera, and of rounding
 _MOST_WINDOWS = 24  # memory and time do not grow with the photograph
 
@@ -41,11 +40,11 @@ class Detail:
     def sure_noise(self) -> Floats:
         """As `noise`, what is noise for certain: where no place is quiet, `noise` holds texture too.
 
-        A part of it, and no more than fits what the photograph resolves: where the pixels of a level are finer,
-        noise hides the detail that they could show.
+        No more than fits what the photograph resolves: where the pixels of a level are finer, noise hides the
+        detail that they could show.
         """
         steps = self.resolution / 2.0 ** np.arange(len(self.noise))
-        sure = np.minimum(_SURE * self.noise, _HIDING * steps[:, None] ** 4)
+        sure = np.minimum(self.noise, _HIDING * steps[:, None] ** 8)
         floor = np.maximum(_LEAST_NATIVE / 4.0 ** np.arange(len(self.noise)), _LEAST)
         found: Floats = np.maximum(sure, floor[:, None]).astype(np.float32)
         return found

@@ -32,7 +32,7 @@ _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the ma
 RIGHT_UNITS, RIGHT_DEVIATIONS = 2.0, 2.5
 
 # Log-odds that a depth is right, for one unit of each `evidence`. Fitted by benchmarks/confidence.py.
-CONFIDENCE = np.array([-3.085, 0.075, 0.782, -0.714, 3.563, -0.355, 0.138, -2.023, 2.677])
+CONFIDENCE = np.array([-3.059, 0.133, 0.910, -0.600, 3.872, -0.342, 0.068, -1.657, 1.998])
 # The same of depths that a network found without a look at those of the sources.
 JUDGED_CONFIDENCE = np.array([-3.658, 0.235, 2.411, -2.338, 2.324, -0.512, 0.0, 0.0, 0.0])
 
