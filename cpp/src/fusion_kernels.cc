@@ -104,9 +104,9 @@ void Ask(const Source& source, const Limits& limits, Run* run) {
     // Standard deviations along the ray of the reference, and what both make of the shift.
     const double own = run->deviation[i], there = double(deviation[i]) * per_scale;
     const double moved = own * per_z[i] * per_scale;
-    const double spread = source.deviation ? (there * there + moved * moved) *
-                                                 (along_x * along_x + along_y * along_y)
-                                           : 0.0;
+    const double spread =
+        source.deviation ? (there * there + moved * moved) * (along_x * along_x + along_y * along_y)
+                         : 0.0;
     const double tolerated = limits.agreement * spread;
     // The source's point lies beside the ray: slide it along the surface onto the ray.
     const double on_ray = measured[i] * per_scale - (run->plane[0][i] * dx + run->plane[1][i] * dy);

@@ -40,7 +40,7 @@ struct PatchMatchOptions {
   // Grey levels squared: the variance of noise, by 16 steps of brightness. A patch that varies no
   // more keeps the depth of the start.
   std::array<double, 16> noise = {2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2};
-  double prior_weight = 0.2;   // of the depth of the start, by its standard deviation
+  double prior_weight = 0.2;  // of the depth of the start, by its standard deviation
   bool everywhere = false;    // also with a start: depths at random are tried beside it
   uint64_t seed = 0;          // of the run, the native image and the pass
   int threads = 0;            // 0: one for each core
@@ -83,11 +83,11 @@ struct SparsePoint {
 // Not owned.
 struct StartMaps {
   int level = 0;
-  Rectangle rectangle;              // pixels of the level
-  const float* depth = nullptr;     // 0 where there is none
-  const float* normal = nullptr;    // 3 planes, camera frame
-  const uint32_t* views = nullptr;  // bit j: source j was used
-  const float* sigma = nullptr;     // standard deviation of the depth; null: not known
+  Rectangle rectangle;                // pixels of the level
+  const float* depth = nullptr;       // 0 where there is none
+  const float* normal = nullptr;      // 3 planes, camera frame
+  const uint32_t* views = nullptr;    // bit j: source j was used
+  const float* sigma = nullptr;       // standard deviation of the depth; null: not known
   const uint8_t* level_of = nullptr;  // of the pixels that the depth comes from; null with sigma
 };
 
