@@ -99,7 +99,7 @@ struct AskedSource {
     Eigen::Map<Eigen::Vector3d>(kernel.centre) = centre;
     Eigen::Map<Eigen::Vector3d>(kernel.back) = camera.intrinsics * centre;
     kernel.focal_area = intrinsics(0, 0) * intrinsics(1, 1);
-    kernel.may_emit = view.rank < reference.rank;
+    kernel.comes_first = view.rank < reference.rank;
     kernel.x0 = view.rectangle.x0;
     kernel.y0 = view.rectangle.y0;
     kernel.width = view.rectangle.width;

@@ -362,6 +362,9 @@ void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
                                   (Abs(plane.rho - prior.rho) <= 3.f * prior.deviation) &
                                   ((deviation >= prior.deviation) | (prior.trust > kHeldTrust));
       deviation = Select(held, prior.deviation, deviation);
+      // Of a plane that nobody has searched for, the curvature says nothing: wrong ones would agree
+      // with all sources.
+      const Ints is_known = held | ((cost.shift > 0.f) & SplatInt(options.refine ? -1 : 0));
       Floats seeing{}, consistent{};
       for (Sources j{UnionOf(group.allowed)}; j.more(); j.next()) {
         const Ints allowed = possible & Has(group.allowed, *j);
@@ -369,7 +372,7 @@ void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
         seeing += Select(allowed & warp.inside, Splat(1), Floats{});
         if (level.sources[*j].inverse_depth) {
           const auto [error, spread] = ForwardBackward(level, group, *j, warp);
-          const Floats own = deviation * warp.shift;
+          const Floats own = Select(is_known, deviation * warp.shift, Floats{});
           const Floats tolerated = Max(options.agreement * Sqrt(own * own + spread * spread),
                                        Splat(options.consistency));
           const Ints agrees = allowed & (error >= 0.f) & (error < tolerated);
