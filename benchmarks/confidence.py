@@ -4,9 +4,9 @@
 
 Each WORKSPACE has been through `sirpy stereo`, with the same backend; TRUTH is the truth.npz of a rendered scene, or
 a folder of exact depth maps named as those of the workspace. Stereo is run again, in a copy, to see what it says of
-some sub-images before the filter. The first scene is fitted, the others check: a depth is right within
-RIGHT_UNITS units of the sources or RIGHT_DEVIATIONS standard deviations (python/sirpy/filtering.py). One JSON object for each scene; the first holds the coefficients, which
-belong into python/sirpy/filtering.py.
+some sub-images before the filter. The first scene is fitted, the others check: a depth is right within RIGHT_UNITS
+units of the sources or RIGHT_DEVIATIONS standard deviations (python/sirpy/filtering.py). One JSON object for each
+scene; the first holds the coefficients, which belong into python/sirpy/filtering.py.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from sirpy import dense_stereo
 from sirpy.filtering import (
     CONFIDENCE,
     JUDGED_CONFIDENCE,
-    Estimate,
-    Reason,
     RIGHT_DEVIATIONS,
     RIGHT_UNITS,
+    Estimate,
+    Reason,
     evidence,
     neighbourhood,
     probability,

@@ -55,8 +55,8 @@ class Plane {
   }
 
   // Whether the pixel (dx, dy) away, of this depth and standard deviation, lies on the plane. The
-  // product of the depth and of normal . ray, which is linear in the pixel, is the same all over the
-  // plane.
+  // product of the depth and of normal . ray, which is linear in the pixel, is the same all over
+  // the plane.
   bool Holds(int dx, int dy, float depth, float sigma, double step, double deviations) const {
     if (!(depth > 0)) return false;
     const double there = here_ + dx * across_ + dy * down_;
@@ -173,7 +173,8 @@ std::vector<float> BoxMeans(const float* plane, int64_t width, int64_t height, i
 #pragma omp parallel for
   for (int64_t y = 0; y < height; ++y) {
     for (int64_t x = 0; x < width; ++x) {
-      const int64_t first = std::max<int64_t>(x - radius, 0), last = std::min(x + radius, width - 1);
+      const int64_t first = std::max<int64_t>(x - radius, 0),
+                    last = std::min(x + radius, width - 1);
       float sum = 0;
       for (int64_t u = first; u <= last; ++u) sum += plane[y * width + u];
       rows[size_t(y * width + x)] = sum / float(last - first + 1);

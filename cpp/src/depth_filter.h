@@ -3,8 +3,9 @@
 // Geometry: a window of a native image, row-major; depth is z in the camera (any unit; 0 where
 // there is none), normals are 3 planes in the camera frame. Cameras as in patch_match_sir.h. A
 // pixel lies on the plane of another when its depth differs from the plane's on its ray by few
-// pixels' worth of depth (depth / focal length), or by few standard deviations of both depths, which
-// is more where the sources resolve less: however steep the surface, it lies on its own plane.
+// pixels' worth of depth (depth / focal length), or by few standard deviations of both depths,
+// which is more where the sources resolve less: however steep the surface, it lies on its own
+// plane.
 #pragma once
 
 #include <cstdint>

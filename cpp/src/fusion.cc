@@ -99,7 +99,7 @@ struct AskedSource {
     Eigen::Map<Eigen::Vector3d>(kernel.centre) = centre;
     Eigen::Map<Eigen::Vector3d>(kernel.back) = camera.intrinsics * centre;
     kernel.focal_area = intrinsics(0, 0) * intrinsics(1, 1);
-    kernel.may_emit = view.rank < reference.rank;
+    kernel.comes_first = view.rank < reference.rank;
     kernel.x0 = view.rectangle.x0;
     kernel.y0 = view.rectangle.y0;
     kernel.width = view.rectangle.width;
@@ -149,10 +149,10 @@ bool ReadRun(const DepthView& reference, const float* normals, int64_t row, int6
     any |= is_depth;
     count->invalid += !is_depth && depth != 0;
     run->inverse_depth[i] = is_depth ? 1.0 / depth : 0.0;
-    run->deviation[i] = reference.sigma && is_depth
-                            ? double(reference.sigma[pixel]) * run->inverse_depth[i] *
-                                  run->inverse_depth[i]
-                            : 1.0;
+    run->deviation[i] =
+        reference.sigma && is_depth
+            ? double(reference.sigma[pixel]) * run->inverse_depth[i] * run->inverse_depth[i]
+            : 1.0;
     for (int axis = 0; axis < 3; ++axis) run->normal[axis][i] = normals[pixel + axis * area];
   }
   return any;
@@ -187,10 +187,10 @@ RowCount FuseRow(const fusion::Kernels& kernels, const DepthView& reference,
   const Rectangle& window = reference.rectangle;
   const uint32_t* allowed_of_row =
       blocks.allowed + (window.y0 + row) / blocks.side * blocks.columns;
-  const fusion::Limits limits = {
-      options.consistency * options.consistency, options.yield_shift * options.yield_shift,
-      options.see_through * options.see_through, options.agreement * options.agreement,
-      options.yield_footprint};
+  const fusion::Limits limits = {options.consistency * options.consistency,
+                                 options.yield_shift * options.yield_shift,
+                                 options.see_through * options.see_through,
+                                 options.agreement * options.agreement, options.yield_footprint};
   fusion::Run run;
   for (int64_t column = 0, end; column < window.width; column = end) {
     const int64_t block = (window.x0 + column) / blocks.side;
@@ -209,7 +209,8 @@ RowCount FuseRow(const fusion::Kernels& kernels, const DepthView& reference,
       const int needed = std::max(1, std::min(most, int(run.num_seeing[i])));
       if (Yields(run, i, needed, options)) {
         ++count.yielded;
-      } else if (run.num_consistent[i] < needed) {
+      } else if (run.num_close[i] < needed &&
+                 run.num_consistent[i] < std::min(needed + 1, std::max(1, int(run.num_seeing[i])))) {
         ++count.inconsistent;
       } else if (run.num_through[i] > run.num_consistent[i]) {
         ++count.seen_through;
@@ -223,9 +224,8 @@ RowCount FuseRow(const fusion::Kernels& kernels, const DepthView& reference,
         // What agrees has mistakes in common: as sure as one of them, not as their mean.
         const double count = run.num_consistent[i] + 1;
         fused->sigma[pixel] =
-            reference.sigma
-                ? float(std::sqrt(count / run.sum_weight[i]) * per_depth * per_depth)
-                : 0.f;
+            reference.sigma ? float(std::sqrt(count / run.sum_weight[i]) * per_depth * per_depth)
+                            : 0.f;
         fused->num_views[pixel] = uint8_t(run.num_consistent[i] + 1);
       }
     }

@@ -7,8 +7,8 @@
 // A depth is believed when the depths of enough of the sources that see it agree: forward-backward
 // error below `consistency` pixels (Schoenberger et al., ECCV 2016, section 4.6) or `agreement`
 // standard deviations, and fewer see through it. The point is the mean of what the agreeing views
-// measure along the ray, weighted by their variances. A surface that several views see is emitted by
-// the one whose pixels are the smallest on it, which is a matter of distance and angle, unless
+// measure along the ray, weighted by their variances. A surface that several views see is emitted
+// by the one whose pixels are the smallest on it, which is a matter of distance and angle, unless
 // another knows it much better.
 #pragma once
 
@@ -31,7 +31,7 @@ struct FusionOptions {
       1.5;                 // and whose pixel covers at most this times its area of the surface
   double see_through = 4;  // pixels of parallax by which a source looks past a wrong point
   bool keep_duplicates = false;  // every believed pixel emits its point
-  bool thin = false;  // depths of coarser levels give one point for each pixel of theirs
+  bool thin = false;             // depths of coarser levels give one point for each pixel of theirs
   int threads = 0;               // 0: one for each core
 
   // Throws std::invalid_argument that names field, value and bound.

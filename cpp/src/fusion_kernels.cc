@@ -9,8 +9,15 @@
 namespace sirpy::fusion::SIRPY_ISA {
 namespace {
 
-// Standard deviations of another view by those of this one, where it may emit the point instead.
-constexpr double kMuchSurer = 0.5, kAsSure = 1.3;
+// How unsure a depth is, along the ray of its own view and in steps of a factor of the square root
+// of 2, so that views can be put into an order: were they compared two by two, some could leave a
+// point to each other in a ring. The exponent of the variance.
+inline int Unsureness(double sigma) {
+  const double variance = sigma * sigma;
+  int64_t bits;
+  __builtin_memcpy(&bits, &variance, sizeof(bits));
+  return int(bits >> 52);
+}
 
 // Area of the surface that one pixel covers at a depth, where the surface's plane has that distance
 // from the centre of projection.
@@ -46,14 +53,15 @@ void Begin(const Reference& reference, Run* run) {
     run->plane[1][i] = my * slope;
     run->towards[i] = at_pixel / rho;
     run->footprint[i] = Footprint(1 / rho, run->towards[i], reference.focal_area);
-    run->num_seeing[i] = run->num_consistent[i] = run->num_through[i] = run->has_better[i] = 0;
+    run->num_seeing[i] = run->num_close[i] = run->num_consistent[i] = run->num_through[i] = run->has_better[i] = 0;
     run->sum_weight[i] = Weight(run->deviation[i]);
     run->sum_inverse_depth[i] = rho * run->sum_weight[i];
   }
 }
 
 void Ask(const Source& source, const Limits& limits, Run* run) {
-  double h_z[kRun], per_z[kRun], measured[kRun], agreed[kRun], theirs[kRun];
+  double h_z[kRun], per_z[kRun], measured[kRun], agreed[kRun];
+  int surer[kRun];  // steps by which the source knows its depth better
   float u[kRun], v[kRun], sampled[kRun], deviation[kRun];
   const int64_t count = run->count;
   const double* a = source.along;
@@ -104,9 +112,9 @@ void Ask(const Source& source, const Limits& limits, Run* run) {
     // Standard deviations along the ray of the reference, and what both make of the shift.
     const double own = run->deviation[i], there = double(deviation[i]) * per_scale;
     const double moved = own * per_z[i] * per_scale;
-    const double spread = source.deviation ? (there * there + moved * moved) *
-                                                 (along_x * along_x + along_y * along_y)
-                                           : 0.0;
+    const double spread =
+        source.deviation ? (there * there + moved * moved) * (along_x * along_x + along_y * along_y)
+                         : 0.0;
     const double tolerated = limits.agreement * spread;
     // The source's point lies beside the ray: slide it along the surface onto the ray.
     const double on_ray = measured[i] * per_scale - (run->plane[0][i] * dx + run->plane[1][i] * dy);
@@ -115,27 +123,28 @@ void Ask(const Source& source, const Limits& limits, Run* run) {
         shift < (tolerated > limits.consistency ? tolerated : limits.consistency) ? seen : 0.0;
     const double weight = agrees > 0 ? Weight(source.deviation ? there : 1.0) : 0.0;
     run->num_consistent[i] += agrees;
+    run->num_close[i] += shift < limits.consistency ? seen : 0.0;
     run->sum_inverse_depth[i] += agrees > 0 ? on_ray * weight : 0.0;
     run->sum_weight[i] += weight;
     run->num_through[i] +=
         (difference < 0) & (shift > limits.see_through) & (shift > 2 * tolerated) ? seen : 0.0;
     agreed[i] = shift < (spread > limits.yield_shift ? spread : limits.yield_shift) ? agrees : 0.0;
-    theirs[i] = source.deviation ? there / own : 1.0;
+    const double far = measured[i] > 0 ? measured[i] : 1.0, near = rho > 0 ? rho : 1.0;
+    surer[i] = source.deviation ? Unsureness(own / (near * near)) -
+                                      Unsureness(double(deviation[i]) / (far * far))
+                                : 0;
   }
-  // Much surer than this view: its place in the order does not matter.
+  // A view is better that is surer or, as sure, comes first in the order; and that sees the place
+  // finely enough, unless it is much surer.
   for (int64_t i = 0; i < count; ++i) {
-    const bool surer = (agreed[i] > 0) & (theirs[i] < kMuchSurer);
-    run->has_better[i] = surer ? 1.0 : run->has_better[i];
-  }
-  if (!source.may_emit) return;
-  for (int64_t i = 0; i < count; ++i) {
-    const double rho = run->inverse_depth[i] > 0 ? run->inverse_depth[i] : 1.0;
+    const double rho = run->inverse_depth[i];
     const double distance = run->towards[i] - (source.centre[0] * run->normal[0][i] +
                                                source.centre[1] * run->normal[1][i] +
                                                source.centre[2] * run->normal[2][i]);
     const double footprint = Footprint(h_z[i] / rho, distance, source.focal_area);
     const bool fine = footprint < limits.yield_footprint * run->footprint[i];
-    const double better = fine & (theirs[i] < kAsSure) ? agreed[i] : 0.0;
+    const bool first = (surer[i] > 0) | ((surer[i] == 0) & source.comes_first);
+    const double better = (surer[i] > 1) | (fine & first) ? agreed[i] : 0.0;
     run->has_better[i] = better > 0 ? 1.0 : run->has_better[i];
   }
 }

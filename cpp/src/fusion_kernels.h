@@ -22,7 +22,7 @@ struct Source {
   double centre[3];  // of projection, in the camera frame of the reference
   double back[3];    // its projection there, homogeneous
   double focal_area;
-  bool may_emit;               // a pixel may leave its point to this view
+  bool comes_first;            // of views that are as sure, it emits the point
   const float* inverse_depth;  // of its window, row-major, 0 where there is none
   const float* deviation;      // its standard deviation; null: all are equally sure
   int64_t x0, y0, width, height;
@@ -47,6 +47,7 @@ struct Run {
   double footprint[kRun];  // area of the surface that the pixel covers
   // What the sources have said so far.
   double num_seeing[kRun], num_consistent[kRun], num_through[kRun];
+  double num_close[kRun];  // of the consistent ones, within `consistency`
   double sum_inverse_depth[kRun], sum_weight[kRun];
   double has_better[kRun];  // 1: a view that may emit the point knows it well enough
 };

@@ -205,8 +205,8 @@ PriorMaps MakePrior(const Level& level, const StartPlanes& start) {
   for (int y = 0; y < level.height; ++y) {
     const size_t thread = size_t(omp_get_thread_num()), row = width * y;
     float* own = slopes.data() + 2 * width * thread;
-    start.FillRow(y, 0,
-                  {prior.rho.data() + row, own, own + width, nullptr, views.data() + width * thread});
+    start.FillRow(
+        y, 0, {prior.rho.data() + row, own, own + width, nullptr, views.data() + width * thread});
     start.FillKnownRow(y, prior.deviation.data() + row, prior.level.data() + row);
   }
   return prior;
@@ -226,9 +226,9 @@ PatchMatchResult Assess(const Level& level, const KernelOptions& options, PlaneA
   result.sigma.resize(size);
   result.motion.resize(size);
   result.level.resize(size);
-  Assessment assessment{result.cost.data(),           result.texture.data(),
-                        result.num_seeing.data(),     result.num_consistent.data(),
-                        result.sigma.data(),          result.motion.data(),
+  Assessment assessment{result.cost.data(),       result.texture.data(),
+                        result.num_seeing.data(), result.num_consistent.data(),
+                        result.sigma.data(),      result.motion.data(),
                         result.level.data()};
 #pragma omp parallel for schedule(dynamic)
   for (int y = 0; y < level.height; ++y) {

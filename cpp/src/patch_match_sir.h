@@ -83,11 +83,11 @@ struct SparsePoint {
 // Not owned.
 struct StartMaps {
   int level = 0;
-  Rectangle rectangle;              // pixels of the level
-  const float* depth = nullptr;     // 0 where there is none
-  const float* normal = nullptr;    // 3 planes, camera frame
-  const uint32_t* views = nullptr;  // bit j: source j was used
-  const float* sigma = nullptr;     // standard deviation of the depth; null: not known
+  Rectangle rectangle;                // pixels of the level
+  const float* depth = nullptr;       // 0 where there is none
+  const float* normal = nullptr;      // 3 planes, camera frame
+  const uint32_t* views = nullptr;    // bit j: source j was used
+  const float* sigma = nullptr;       // standard deviation of the depth; null: not known
   const uint8_t* level_of = nullptr;  // of the pixels that the depth comes from; null with sigma
 };
 

@@ -197,7 +197,10 @@ class PatchMatchOptions:
     geometric_weight: float
     max_geometric_error: float
     consistency: float
-    prior_variance: float
+    agreement: float
+    prior_weight: float
+    noise: list[float]
+    everywhere: bool
     seed: int
     threads: int
     def __init__(self) -> None: ...
@@ -207,7 +210,7 @@ class PatchMatchOptions:
 class ViewWindow:
     """A window of a native image at a level (pixels of that level), its camera and its depths.
 
-    inverse_depth: of sources in a geometric pass, 0 where there is none.
+    inverse_depth: of sources in a geometric pass, 0 where there is none; deviation: its standard deviation.
     """
 
     def __init__(
@@ -220,10 +223,12 @@ class ViewWindow:
         y0: int,
         grey: NDArray[np.uint8],
         inverse_depth: NDArray[np.float32] | None = None,
+        deviation: NDArray[np.float32] | None = None,
     ) -> None: ...
 
 class StartMaps:
-    """What the pass before found: depth, normal (3 planes), views (bits of sources)."""
+    """What the pass before found: depth, normal (3 planes), views (bits of sources); standard deviation of the
+    depth and the level that it comes from, both or neither."""
 
     def __init__(
         self,
@@ -234,6 +239,8 @@ class StartMaps:
         depth: NDArray[np.float32],
         normal: NDArray[np.float32],
         views: NDArray[np.uint32],
+        sigma: NDArray[np.float32] | None = None,
+        level_of: NDArray[np.uint8] | None = None,
     ) -> None: ...
 
 def patch_match(
@@ -248,8 +255,8 @@ def patch_match(
     start: StartMaps | None,
     options: PatchMatchOptions,
 ) -> dict[str, NDArray[Any]]:
-    """depth, normal, views, cost, texture, num_seeing, num_consistent of the reference window;
-    points: n x (x, y, depth)."""
+    """depth, normal, views, cost, texture, num_seeing, num_consistent, sigma, motion, level of the reference
+    window; points: n x (x, y, depth)."""
 
 class PlanarCompletionOptions:
     """Units and bounds: cpp/src/patch_match/planar_completion.h."""
@@ -296,24 +303,31 @@ def patch_match_bytes_per_pixel() -> tuple[int, int, int]:
 def find_speckles(
     depth: NDArray[np.float32],
     normal: NDArray[np.float32],
+    sigma: NDArray[np.float32],
     *,
     intrinsics: NDArray[np.float64],
     x0: int,
     y0: int,
     step: float,
+    deviations: float,
     min_pixels: int,
 ) -> NDArray[np.uint8]:
-    """1 for each pixel of a speckle, (height, width); normal: 3 planes; step: pixels' worth of depth."""
+    """1 for each pixel of a speckle, (height, width); normal: 3 planes; step: pixels' worth of depth, or so many
+    standard deviations of it, whichever is more."""
 
 def coplanar_shares(
     depth: NDArray[np.float32],
     normal: NDArray[np.float32],
+    sigma: NDArray[np.float32],
     *,
     intrinsics: NDArray[np.float64],
     x0: int,
     y0: int,
 ) -> NDArray[np.float32]:
     """Share of the pixels around each that lie on its plane, (height, width); normal: 3 planes."""
+
+def box_means(plane: NDArray[np.float32], radius: int) -> NDArray[np.float32]:
+    """The mean of what lies within `radius` across and down of each pixel, inside the map."""
 
 def instruction_set() -> str: ...
 def group_correlation(
@@ -340,6 +354,9 @@ class FusionOptions:
     consistency: float
     yield_shift: float
     yield_footprint: float
+    see_through: float
+    agreement: float
+    thin: bool
     keep_duplicates: bool
     threads: int
     def __init__(self) -> None: ...
@@ -347,7 +364,8 @@ class FusionOptions:
         """ValueError names field, value and bound."""
 
 class DepthView:
-    """A window of depths of a native image, its camera and its rank (the lower emits)."""
+    """A window of depths of a native image, their standard deviations, its camera and its rank (the lower
+    emits)."""
 
     def __init__(
         self,
@@ -358,6 +376,7 @@ class DepthView:
         y0: int,
         rank: int,
         depth: NDArray[np.float32],
+        sigma: NDArray[np.float32] | None = None,
     ) -> None: ...
 
 def fuse(
@@ -365,6 +384,7 @@ def fuse(
     normal: NDArray[np.float32],
     color: NDArray[np.uint8],
     confidence: NDArray[np.float32] | None,
+    level: NDArray[np.uint8] | None,
     sources: Sequence[DepthView | None],
     *,
     block_side: int,

@@ -395,7 +395,17 @@ def stereo(
 
     folder = Workspace(workspace)
     if explain is not None:
-        if given := _given(context, "stereo", "device", "max_cost", "min_consistent", "min_confidence", "min_depth", "max_depth", "threads"):
+        if given := _given(
+            context,
+            "stereo",
+            "device",
+            "max_cost",
+            "min_consistent",
+            "min_confidence",
+            "min_depth",
+            "max_depth",
+            "threads",
+        ):
             raise InputError(
                 f"{given[0]} belongs to the estimate, and --explain draws the one that is there: give "
                 "one of the two"

@@ -24,7 +24,8 @@ POINT = np.dtype(
     + [("views", "u1")]  # that agree
     + [("confidence", "<f4")]  # 0 to 1; 0 where stereo has none
     + [("gsd", "<f4")]  # of the pixel that the point is of, unit of the frame
-    + [("sigma", "<f4")]  # standard deviation along the ray, unit of the frame; 0 where stereo has none
+    # Standard deviation along the ray, unit of the frame; 0 where stereo has none.
+    + [("sigma", "<f4")]
     + [("level", "<i4")]  # of the pyramid whose pixels gave the depth: 2^level native pixels each
 )
 Points = npt.NDArray[np.void]

@@ -318,6 +318,7 @@ class _Estimator:
         camera = self._scene.cameras[unit.native.name]
         offered = self._views.fields[unit.native.name].num_sources(window)
         estimate = Estimate(**{one.name: getattr(found, one.name) for one in fields(Estimate)})
+        assert found.level is not None  # as check_depth_map has seen
         reason, confidence = filter_depths(
             estimate,
             camera.intrinsics,
@@ -331,7 +332,8 @@ class _Estimator:
         missing = reason[kept] != 0
         write_map(workspace.reason_map(sub_image), reason[kept].astype(np.float32))
         write_map(workspace.confidence_map(sub_image), confidence[kept])
-        write_map(workspace.sigma_map(sub_image), np.where(missing, np.float32(0), found.sigma[kept]))
+        sigma = np.where(missing, np.float32(0), estimate.sigma[kept])
+        write_map(workspace.sigma_map(sub_image), sigma)
         write_map(workspace.level_map(sub_image), found.level[kept].astype(np.float32))
         normal = np.where(missing, np.float32(0), estimate.normal[(slice(None), *kept)])
         write_map(workspace.normal_map(sub_image, "geometric"), normal)

@@ -50,7 +50,9 @@ class DepthMaps:
                     self._look_for(self._sigmas, sub, workspace.sigma_map(sub), 1)
         # Sure and unsure depths can be told apart where all of them say how sure they are.
         self.has_sigma = all(
-            sub.name in self._sigmas for native in self.natives.values() for sub in native.sub_images
+            sub.name in self._sigmas
+            for native in self.natives.values()
+            for sub in native.sub_images
         )
         if not self.natives:
             reason = f": {self.left_out[0].reason}" if self.left_out else ""

@@ -17,7 +17,9 @@ from sirpy.view_fields import ViewField
 
 FloatMap = npt.NDArray[np.float32]
 
-_NEAREST = 0.25  # of the depths of the sparse points: what stands three quarters of the flying height tall
+_NEAREST = (
+    0.25  # of the depths of the sparse points: what stands three quarters of the flying height tall
+)
 _FARTHEST = 2.0
 _PERCENTILES = (2.0, 98.0)  # of the depths of the sparse points
 _FOUND_PERCENTILES = (0.3, 99.7)  # of the inverse depths that are found in a block
@@ -53,7 +55,9 @@ def searched_everywhere(
     )
 
 
-def searched_around(field: ViewField, depth: FloatMap, sure: npt.NDArray[np.bool_], level: int) -> ViewField:
+def searched_around(
+    field: ViewField, depth: FloatMap, sure: npt.NDArray[np.bool_], level: int
+) -> ViewField:
     """A field with the depths that a pass over the whole photograph has found in and around each block.
 
     Args:

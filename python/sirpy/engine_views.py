@@ -22,8 +22,7 @@ from sirpy.native_scene import Floats, Indices, NativeCamera, NativeScene, read_
 from sirpy.photographs import open_photograph
 from sirpy.progress import Progress
 from sirpy.rectangle import Rectangle
-from sirpy.view_fields import ViewField, source_scores, view_field
-from sirpy.view_selection import MOST_OF_A_BLOCK
+from sirpy.view_fields import MOST_OF_A_BLOCK, ViewField, source_scores, view_field
 from sirpy.view_windows import SubImageViews, sub_image_views
 from sirpy.workspace import Workspace
 

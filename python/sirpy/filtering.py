@@ -47,7 +47,9 @@ class Reason(IntFlag):
     MASKED = 16  # the photograph's mask is black there
     SPECKLE = 32  # a small island of a depth that no neighbour shares
     GRAZING = 64  # the surface is seen nearly edge-on
-    UNSURE = 128  # what the estimator says of it and of its neighbours is too often said of wrong depths
+    UNSURE = (
+        128  # what the estimator says of it and of its neighbours is too often said of wrong depths
+    )
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,9 @@ class Estimate:
     num_consistent: ByteMap  # sources whose own depth agrees within a pixel
     texture: FloatMap  # variance of the grey levels in the patch
     sigma: FloatMap  # standard deviation of the depth
-    motion: FloatMap  # change of depth that moves it by a pixel in the sources; 0 where it is not seen
+    motion: (
+        FloatMap  # change of depth that moves it by a pixel in the sources; 0 where it is not seen
+    )
 
     def units(self, focal: float) -> FloatMap:
         """What the sources resolve: depth, (height, width); `focal` in pixels."""
@@ -224,11 +228,18 @@ def coplanar_shares(
 ) -> FloatMap:
     """Share of the pixels around each that lie on its plane (cpp/src/depth_filter.h)."""
     return _core.coplanar_shares(
-        estimate.depth, estimate.normal, estimate.sigma, intrinsics=intrinsics, x0=window.x0, y0=window.y0
+        estimate.depth,
+        estimate.normal,
+        estimate.sigma,
+        intrinsics=intrinsics,
+        x0=window.x0,
+        y0=window.y0,
     )
 
 
-Neighbourhood = tuple[FloatMap, ...]  # shares of coplanar pixels, means of log deviations and of costs
+Neighbourhood = tuple[
+    FloatMap, ...
+]  # shares of coplanar pixels, means of log deviations and of costs
 
 
 def neighbourhood(
@@ -247,12 +258,11 @@ def _log_deviation(estimate: Estimate, focal: float) -> FloatMap:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = estimate.sigma / estimate.units(focal)
     seen = (estimate.depth > 0) & (ratio > 0)
-    return np.log(np.clip(np.where(seen, ratio, np.float32(20)), 0.05, 20)).astype(np.float32)
+    logarithm: FloatMap = np.log(np.clip(np.where(seen, ratio, np.float32(20)), 0.05, 20))
+    return logarithm.astype(np.float32, copy=False)
 
 
-def evidence(
-    estimate: Estimate, focal: float, around: Neighbourhood
-) -> npt.NDArray[np.float32]:
+def evidence(estimate: Estimate, focal: float, around: Neighbourhood) -> npt.NDArray[np.float32]:
     """What the confidence is made of, (9, height, width); the first plane is 1."""
     coplanar, deviations, costs = around
     agreeing = estimate.num_consistent.astype(np.float32)

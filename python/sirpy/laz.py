@@ -1,8 +1,8 @@
 """The cloud as LAZ: LAS 1.4, point format 7, compressed by lazrs, written as a stream.
 
 Coordinates are whole multiples of a power of ten, colours fill 16 bits as the format wants, and what it has no place
-for are extra dimensions: `views`, `confidence`, `gsd`, `sigma`, `level`. There is no date in it, so that the same cloud gives the
-same bytes.
+for are extra dimensions: `views`, `confidence`, `gsd`, `sigma`, `level`. There is no date in it, so that the same
+cloud gives the same bytes.
 """
 
 from __future__ import annotations

@@ -107,8 +107,8 @@ class PointSelection:
 
 
 def _best(points: Points, cubes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """The index of the best point of each cube (n, 3): the finest GSD or, if that is more, standard deviation, then the highest confidence, then by all
-    else that a point has, since the order of the points must not matter."""
+    """The index of the best point of each cube (n, 3): the finest GSD or, if that is more, standard deviation, then
+    the highest confidence, then by all else that a point has, since the order of the points must not matter."""
     rank = np.stack([np.maximum(points["gsd"], points["sigma"]), -points["confidence"]])
     order, first = _sorted(cubes, rank)
     best = rank[:, order[first]][:, np.cumsum(first) - 1]

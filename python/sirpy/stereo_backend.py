@@ -51,7 +51,9 @@ class StereoOptions(FilterOptions):
 
     backend: str = DEFAULT_BACKEND  # a name of the entry points `sirpy.stereo`
     device: str = "auto"  # of networks: auto is a GPU where torch sees one
-    min_depth: float | None = None  # of the scene, unit of the model; None: by the sparse points, generously
+    min_depth: float | None = (
+        None  # of the scene, unit of the model; None: by the sparse points, generously
+    )
     max_depth: float | None = None
     top_views: int = 4  # sources that a pixel is matched against, at most
     native_iterations: int = 3  # sweeps at native resolution, photometric pass
@@ -73,7 +75,8 @@ class StereoOptions(FilterOptions):
             far is None or (near or 0) < far < float("inf")
         ):
             raise InputError(
-                f"depths from {near} to {far} are not possible: choose a nearest one above 0 and a farthest one above it"
+                f"depths from {near} to {far} are not possible: choose a nearest one above 0 and a "
+                "farthest one above it"
             )
         if self.device not in DEVICES:
             raise InputError(f"--device {self.device} is not possible: choose {', '.join(DEVICES)}")
@@ -187,7 +190,16 @@ def check_depth_map(found: DepthMap, window: Rectangle, of_pass: StereoBackend) 
     if "counts" in needed:
         needed = needed - {"counts"} | {"num_seeing", "num_consistent"}
     if of_pass.is_last:
-        needed |= {"normal", "cost", "texture", "num_seeing", "num_consistent", "sigma", "motion", "level"}
+        needed |= {
+            "normal",
+            "cost",
+            "texture",
+            "num_seeing",
+            "num_consistent",
+            "sigma",
+            "motion",
+            "level",
+        }
     for name in sorted(needed):
         plane = getattr(found, name, None)
         kind = _KINDS.get(name, np.dtype(np.float32))

@@ -222,9 +222,7 @@ def _with_ground(
     return expected, near, points  # type: ignore[return-value]
 
 
-def _chosen(
-    ranked: list[str], num_sources: int, sees: npt.NDArray[np.bool_]
-) -> list[str]:
+def _chosen(ranked: list[str], num_sources: int, sees: npt.NDArray[np.bool_]) -> list[str]:
     """The best sources of a block, and more where some of its surface is seen by less than three of them.
 
     Args:

@@ -1,6 +1,8 @@
 #include "patch_match_sir.h"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <cstdlib>
 #include <random>
 #include <stdexcept>
@@ -8,6 +10,7 @@
 
 #include <gtest/gtest.h>
 
+#include "instruction_sets.h"
 #include "patch_match/pyramid.h"
 #include "plane_scene.h"
 
@@ -43,11 +46,9 @@ struct Scene {
       options.iterations = level == levels - 1 ? 4 : 2;
       options.largest_step = level == levels - 1 ? 8 : 2;
       const int before = (kWidth >> (level + 1)), height = (kHeight >> (level + 1));
-      const StartMaps start{level + 1,
-                            {0, 0, before, height},
-                            result.depth.data(),
-                            result.normal.data(),
-                            result.views.data()};
+      const StartMaps start{
+          level + 1,           {0, 0, before, height}, result.depth.data(), result.normal.data(),
+          result.views.data(), result.sigma.data(),    result.level.data()};
       PatchMatchResult next = RunPass(level, level == levels - 1 ? nullptr : &start, options);
       result = std::move(next);
     }
@@ -100,6 +101,30 @@ struct Scene {
     PatchMatchOptions options;
     options.iterations = 0;
     return PatchMatchSir(reference.Window(), windows, blocks.View(), {}, &start, options);
+  }
+
+  // Gaussian noise in every photograph, in grey levels; as in photographs that have been through a
+  // colour filter, neighbours share some of it.
+  void AddNoise(double deviation) {
+    std::mt19937 random(7);
+    std::normal_distribution<double> normal(0, deviation * 16 / 6);  // 1 2 1 leaves 6 / 16 of it
+    const auto add = [&](RenderedView& view) {
+      const int width = kWidth + 2;
+      std::vector<double> noise(size_t(width) * (kHeight + 2));
+      for (double& one : noise) one = normal(random);
+      for (int y = 0; y < kHeight; ++y) {
+        for (int x = 0; x < kWidth; ++x) {
+          double sum = 0;
+          for (int i = 0; i < 9; ++i) {
+            sum += (1 + (i % 3 == 1)) * (1 + (i / 3 == 1)) * noise[(y + i / 3) * width + x + i % 3];
+          }
+          uint8_t& grey = view.grey[size_t(y) * kWidth + x];
+          grey = uint8_t(std::lround(std::clamp(grey + sum / 16, 0.0, 255.0)));
+        }
+      }
+    };
+    add(reference);
+    for (RenderedView& source : sources) add(source);
   }
 
   // Signed errors in pixels of motion in a source, inside a border where the sources see
@@ -195,6 +220,125 @@ TEST(PatchMatchSir, SameBytesOnAnyNumberOfThreadsAndInstructionSet) {
   EXPECT_EQ(expected.depth, baseline.depth);
   EXPECT_EQ(expected.normal, baseline.normal);
   EXPECT_EQ(expected.cost, baseline.cost);
+  EXPECT_EQ(expected.sigma, baseline.sigma);
+  EXPECT_EQ(expected.level, baseline.level);
+}
+
+std::array<double, 16> Noise(double variance) {
+  std::array<double, 16> noise;
+  noise.fill(variance);
+  return noise;
+}
+
+// What it promises of errors that it cannot see itself: their size, within a factor of 2.5.
+TEST(PatchMatchSir, StandardDeviationsAreThoseOfTheErrors) {
+  for (const double noise : {3.0, 10.0, 25.0}) {
+    Scene scene(PlaneSurface(kSlanted, kSlanted.z() * 10), kSlanted);
+    scene.AddNoise(noise);
+    PatchMatchOptions options;
+    options.noise = Noise(noise * noise);
+    const PatchMatchResult result = scene.Run(options);
+    std::vector<double> ratios, sizes;
+    int wild = 0;
+    for (int y = 32; y < kHeight - 32; ++y) {
+      for (int x = 32; x < kWidth - 32; ++x) {
+        const size_t at = size_t(y) * kWidth + x;
+        ASSERT_GT(result.depth[at], 0);
+        ASSERT_GT(result.sigma[at], 0);
+        const double error = std::abs(double(result.depth[at]) - scene.reference.depth[at]);
+        ratios.push_back(error / result.sigma[at]);
+        sizes.push_back(error / result.motion[at]);
+        wild += ratios.back() > 5;
+      }
+    }
+    const double scale = 1.4826 * Median(ratios);  // 1 of Gaussian errors of that size
+    // With so little noise the least deviation decides, of what photographs have and scenes of
+    // tests have not: 0.1 pixels.
+    EXPECT_GT(scale, noise > 5 ? 1 / 2.5 : 0) << noise;
+    EXPECT_LT(scale, 2.5) << noise;
+    EXPECT_LT(wild, 0.02 * double(ratios.size())) << noise;
+    EXPECT_LT(Median(sizes), 0.5) << noise;  // pixels of motion
+  }
+}
+
+TEST(PatchMatchSir, MotionIsTheDepthOfAPixel) {
+  const Scene scene(PlaneSurface({0, 0, -1}, -10));
+  PatchMatchOptions options;
+  options.top_views = 1;
+  const PatchMatchResult result = scene.Run(options);
+  std::vector<double> motions;
+  for (int y = 32; y < kHeight - 32; ++y) {
+    for (int x = 32; x < kWidth - 32; ++x) motions.push_back(result.motion[y * kWidth + x]);
+  }
+  EXPECT_NEAR(Median(motions), 10.0 * 10.0 / (300 * 1.5), 0.03);  // Z^2 / (f B)
+}
+
+// Where the photographs hold nothing but noise, what is known stays, with what is known of it.
+TEST(PatchMatchSir, NoiseAloneLeavesTheStartAsItIs) {
+  const double noise = 4;
+  Scene scene(PlaneSurface({0, 0, -1}, -10));
+  const auto flatten = [](RenderedView& view) {
+    std::fill(view.grey.begin(), view.grey.end(), uint8_t(120));
+  };
+  flatten(scene.reference);
+  for (RenderedView& source : scene.sources) flatten(source);
+  scene.AddNoise(noise);
+  const size_t area = size_t(kWidth) * kHeight;
+  const std::vector<uint32_t> views(area, 15);
+  const std::vector<float> sigma(area, 0.2f);
+  const std::vector<uint8_t> level(area, 3);
+  StartMaps start{0,
+                  {0, 0, kWidth, kHeight},
+                  scene.reference.depth.data(),
+                  scene.reference.normal.data(),
+                  views.data(),
+                  sigma.data(),
+                  level.data()};
+  PatchMatchOptions options;
+  options.noise = Noise(1.5 * noise * noise);  // patches of noise vary less
+  const PatchMatchResult held = scene.RunPass(0, &start, options);
+  start.sigma = nullptr;
+  start.level_of = nullptr;
+  const PatchMatchResult free = scene.RunPass(0, &start, options);
+  int kept = 0, of_start = 0, wandered = 0, total = 0;
+  for (int y = 32; y < kHeight - 32; ++y) {
+    for (int x = 32; x < kWidth - 32; ++x) {
+      const size_t at = size_t(y) * kWidth + x;
+      ++total;
+      kept += std::abs(held.depth[at] - 10) < 0.2;
+      of_start += held.level[at] == 3 && std::abs(held.sigma[at] - 0.2) < 0.02;
+      wandered += std::abs(free.depth[at] - 10) > 0.2;
+    }
+  }
+  EXPECT_GT(kept, 0.9 * total);
+  EXPECT_GT(of_start, 0.9 * total);
+  EXPECT_GT(wandered, 0.3 * total);  // otherwise this test shows nothing
+}
+
+// And where they hold more than noise, what is known less well gives way.
+TEST(PatchMatchSir, TextureOverrulesAnUnsureStart) {
+  const Scene scene(PlaneSurface({0, 0, -1}, -10));
+  const size_t area = size_t(kWidth) * kHeight;
+  const std::vector<uint32_t> views(area, 15);
+  const std::vector<float> depth(area, 10.3f), sigma(area, 0.2f);
+  const std::vector<uint8_t> level(area, 3);
+  const StartMaps start{0,
+                        {0, 0, kWidth, kHeight},
+                        depth.data(),
+                        scene.reference.normal.data(),
+                        views.data(),
+                        sigma.data(),
+                        level.data()};
+  const PatchMatchResult found = scene.RunPass(0, &start, {});
+  EXPECT_LT(MedianSize(scene.ShiftErrors(found)), 0.05);
+  int own = 0, total = 0;
+  for (int y = 32; y < kHeight - 32; ++y) {
+    for (int x = 32; x < kWidth - 32; ++x, ++total) {
+      const size_t at = size_t(y) * kWidth + x;
+      own += found.level[at] == 0 && found.sigma[at] < 0.2f;
+    }
+  }
+  EXPECT_GT(own, 0.95 * total);
 }
 
 // 32 sources: some are not given, some look away or lie behind the surface, and their depths have
@@ -228,14 +372,26 @@ TEST(PatchMatchSir, SameBytesWhateverTheSources) {
     const ViewBlocks blocks{37, 5, 4, allowed.data(), least.data(), most.data()};
     std::vector<uint32_t> used(kWidth * kHeight);
     for (uint32_t& word : used) word = uint32_t(random() & random() & random());
+    std::vector<float> deviation(kWidth * kHeight), sigma(kWidth * kHeight);
+    std::vector<uint8_t> level_of(kWidth * kHeight);
+    for (float& one : deviation) one = uniform() < 0.2 ? 0 : float(0.01 * uniform());
+    for (float& one : sigma) one = uniform() < 0.2 ? 0 : float(0.5 * uniform());
+    for (uint8_t& one : level_of) one = uint8_t(random() % 5);
+    for (size_t j = 0; j < windows.size(); j += 2) {
+      if (windows[j].inverse_depth) windows[j].deviation = deviation.data();
+    }
     const StartMaps start{0,
                           {0, 0, kWidth, kHeight},
                           scene.reference.depth.data(),
                           scene.reference.normal.data(),
-                          used.data()};
+                          used.data(),
+                          sigma.data(),
+                          level_of.data()};
     const auto run = [&](int threads) {
       PatchMatchOptions options;
       options.threads = threads;
+      options.everywhere = seed == 1;
+      options.noise = Noise(seed == 2 ? 2000 : 20);
       return PatchMatchSir(scene.reference.Window(), windows, blocks, {}, &start, options);
     };
     const PatchMatchResult expected = run(1);
@@ -249,9 +405,13 @@ TEST(PatchMatchSir, SameBytesWhateverTheSources) {
       EXPECT_EQ(expected.views, found.views);
       EXPECT_EQ(expected.num_seeing, found.num_seeing);
       EXPECT_EQ(expected.num_consistent, found.num_consistent);
+      EXPECT_EQ(expected.sigma, found.sigma);
+      EXPECT_EQ(expected.motion, found.motion);
+      EXPECT_EQ(expected.level, found.level);
     };
     expect_same(run(3));
-    for (const char* set : {"baseline", "avx2"}) {
+    for (const char* set : {"baseline", "avx2", "avx512"}) {
+      if (!HasInstructionSet(set)) continue;
       setenv("SIRPY_ISA", set, 1);
       expect_same(run(2));
     }

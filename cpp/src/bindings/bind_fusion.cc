@@ -116,9 +116,8 @@ void BindFusion(py::module_& module) {
 
   module.def("fuse", &RunFuse, py::arg("reference"), py::arg("normal").noconvert(),
              py::arg("color").noconvert(), py::arg("confidence").noconvert(),
-             py::arg("level").noconvert(), py::arg("sources"),
-             py::kw_only(), py::arg("block_side"), py::arg("allowed").noconvert(),
-             py::arg("options"));
+             py::arg("level").noconvert(), py::arg("sources"), py::kw_only(), py::arg("block_side"),
+             py::arg("allowed").noconvert(), py::arg("options"));
   module.attr("NORMAL_REACH") = kNormalReach;
   module.def("normals_of_depth", &RunNormalsOfDepth, py::arg("depth").noconvert(), py::kw_only(),
              py::arg("intrinsics"), py::arg("x0"), py::arg("y0"), py::arg("threads") = 0);

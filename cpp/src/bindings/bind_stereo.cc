@@ -73,8 +73,12 @@ OwnedStartMaps MakeStartMaps(int level, int64_t x0, int64_t y0, Array<float> dep
     CheckMap(*sigma, height, width, "sigma", "depth");
     CheckMap(*level_of, height, width, "level_of", "depth");
   }
-  owned.maps = {level,        {x0, y0, width, height},           depth.data(),
-                normal.data(), views.data(),                     sigma ? sigma->data() : nullptr,
+  owned.maps = {level,
+                {x0, y0, width, height},
+                depth.data(),
+                normal.data(),
+                views.data(),
+                sigma ? sigma->data() : nullptr,
                 level_of ? level_of->data() : nullptr};
   owned.sigma = std::move(sigma);
   owned.level_of = std::move(level_of);

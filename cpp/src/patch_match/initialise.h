@@ -78,9 +78,7 @@ class BothPlanes : public PlaneSource {
  public:
   BothPlanes(const PlaneSource& first, const PlaneSource& second)
       : first_(first), second_(second) {}
-  int num_candidates() const override {
-    return first_.num_candidates() + second_.num_candidates();
-  }
+  int num_candidates() const override { return first_.num_candidates() + second_.num_candidates(); }
   void FillRow(int y, int candidate, const Planes& row) const override {
     const int count = first_.num_candidates();
     candidate < count ? first_.FillRow(y, candidate, row)

@@ -15,7 +15,7 @@ constexpr float kIndependentSamples = 8;  // of the 25 of a patch, in each sourc
 constexpr float kLeastDeviation = 0.1f;   // pixels: what likelihood does not know of
 constexpr float kLargestDeviation = 4;    // pixels
 constexpr float kHeldTrust = 0.5f;        // in the prior: the patch is more noise than signal
-constexpr float kLeastCosine = 0.14f;  // planes seen at more than 82 degrees are refused
+constexpr float kLeastCosine = 0.14f;     // planes seen at more than 82 degrees are refused
 
 // Planes inside the depth range that face the camera less obliquely than kLeastCosine. The normal
 // is along K^T m, m the plane's coefficients of inverse depth: (fx gx, fy gy, rho at the principal
@@ -42,8 +42,7 @@ struct Prior {
 // Variance that the patches would have without any signal, by the brightness of their centres.
 SIRPY_INLINE Floats Noise(const Level& level, const KernelOptions& options, const Group& group) {
   const int stride = level.width + 2 * kPatchRadius;
-  const uint8_t* row =
-      level.grey + int64_t(group.y + kPatchRadius) * stride + kPatchRadius;
+  const uint8_t* row = level.grey + int64_t(group.y + kPatchRadius) * stride + kPatchRadius;
   Floats noise;
   for (int lane = 0; lane < kLanes; ++lane) {
     noise[lane] = options.noise[row[group.column[lane]] / (256 / kBrightnesses)];
@@ -123,14 +122,16 @@ SIRPY_FUNCTION Cost PlaneCost(const Level& level, const KernelOptions& options, 
   const Floats deviation =
       Select(cost.shift > 0.f, Min(Abs(plane.rho - prior.rho) * cost.shift / tolerated, Splat(1)),
              Splat(1));
-  // What is known already weighs as much as the samples of the patch say less: the slope of the cost
-  // by the likelihood (1 - NCC^2)^(-n / 2).
+  // What is known already weighs as much as the samples of the patch say less: the slope of the
+  // cost by the likelihood (1 - NCC^2)^(-n / 2).
   const Floats mean = Min(photometric * scale, Splat(0.95f));
   const Floats count = kIndependentSamples * Max(Floats(views_count), Splat(1));
   const Floats per_likelihood = mean * (2.f - mean) / (count * (1.f - mean));
   const Floats deviations = (plane.rho - prior.rho) / Max(prior.deviation, Splat(1e-20f));
-  const Floats known_value = Select(prior.rho > 0.f,
-      options.prior_weight * per_likelihood * Min(0.5f * deviations * deviations, Splat(4.5f)), Floats{});
+  const Floats known_value = Select(
+      prior.rho > 0.f,
+      options.prior_weight * per_likelihood * Min(0.5f * deviations * deviations, Splat(4.5f)),
+      Floats{});
   cost.value = Select(possible, value + prior.trust * deviation + known_value, Splat(kRejected));
   cost.photometric = Select(compared & possible, photometric / Select(compared, weights, Splat(1)),
                             Splat(kWorstCost));
@@ -295,8 +296,9 @@ void SweepRow(const Level& level, const KernelOptions& options, Planes* planes, 
   }
 }
 
-// Standard deviation, in pixels of motion, of a depth whose costs are c here and half a pixel nearer
-// and farther: by the curvature of the likelihood (1 - NCC^2)^(-n / 2) of n independent samples.
+// Standard deviation, in pixels of motion, of a depth whose costs are c here and half a pixel
+// nearer and farther: by the curvature of the likelihood (1 - NCC^2)^(-n / 2) of n independent
+// samples.
 SIRPY_INLINE Floats MatchingDeviation(Floats nearer, Floats cost, Floats farther, Floats samples) {
   const Floats curvature = Max((nearer - 2.f * cost + farther) * 4.f, Splat(1e-4f));
   const Floats c = Min(Max(cost, Splat(0.002f)), Splat(0.95f));
@@ -354,9 +356,15 @@ void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
       const Ints possible = IsPossible(level, group, plane);
       // What the level's pixels say counts where it is more than is known already.
       Floats deviation = matching_deviation / Max(cost.shift, Splat(1e-20f));
-      const Ints held = options.carry ? prior.rho > 0.f : (prior.rho > 0.f) & (Abs(plane.rho - prior.rho) <= 3.f * prior.deviation) &
-                        ((deviation >= prior.deviation) | (prior.trust > kHeldTrust));
+      const Ints held = options.carry
+                            ? prior.rho > 0.f
+                            : (prior.rho > 0.f) &
+                                  (Abs(plane.rho - prior.rho) <= 3.f * prior.deviation) &
+                                  ((deviation >= prior.deviation) | (prior.trust > kHeldTrust));
       deviation = Select(held, prior.deviation, deviation);
+      // Of a plane that nobody has searched for, the curvature says nothing: wrong ones would agree
+      // with all sources.
+      const Ints is_known = held | ((cost.shift > 0.f) & SplatInt(options.refine ? -1 : 0));
       Floats seeing{}, consistent{};
       for (Sources j{UnionOf(group.allowed)}; j.more(); j.next()) {
         const Ints allowed = possible & Has(group.allowed, *j);
@@ -364,7 +372,7 @@ void FinishRow(const Level& level, const KernelOptions& options, Planes* planes,
         seeing += Select(allowed & warp.inside, Splat(1), Floats{});
         if (level.sources[*j].inverse_depth) {
           const auto [error, spread] = ForwardBackward(level, group, *j, warp);
-          const Floats own = deviation * warp.shift;
+          const Floats own = Select(is_known, deviation * warp.shift, Floats{});
           const Floats tolerated = Max(options.agreement * Sqrt(own * own + spread * spread),
                                        Splat(options.consistency));
           const Ints agrees = allowed & (error >= 0.f) & (error < tolerated);

@@ -17,7 +17,7 @@ constexpr int kMaxSources = 32;
 constexpr int kPatchRadius = 4;  // 9x9 pixels, every second one is sampled: 25 samples
 constexpr int kPatchStep = 2;
 constexpr int kBrightnesses = 16;  // steps of grey levels that noise is known of
-constexpr float kWorstCost = 2;  // 1 - NCC is in [0, 2]; what cannot be compared costs this
+constexpr float kWorstCost = 2;    // 1 - NCC is in [0, 2]; what cannot be compared costs this
 
 struct SourceLevel {
   const uint32_t* quads = nullptr;       // height x width, of PackQuads
@@ -54,10 +54,10 @@ struct Level {
   SourceLevel sources[kMaxSources];
   const float* prior = nullptr;  // inverse depth that weak texture keeps; null: nothing is known
   const float* prior_deviation = nullptr;  // its standard deviation; null with the prior
-  uint64_t seed = 0;             // of the run, the image and the pass
-  int offers = 8;                // planes of neighbours that are tried, of 8
-  float largest_step = 2;        // pixels of motion in the sources, of the first sweep
-  bool everywhere = false;       // depths at random too
+  uint64_t seed = 0;                       // of the run, the image and the pass
+  int offers = 8;                          // planes of neighbours that are tried, of 8
+  float largest_step = 2;                  // pixels of motion in the sources, of the first sweep
+  bool everywhere = false;                 // depths at random too
 
   const Block& BlockAt(int x, int y) const {  // of a pixel of the window
     return blocks[int64_t((y0 + y) / block_side) * block_columns + (x0 + x) / block_side];
