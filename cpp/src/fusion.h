@@ -24,7 +24,7 @@ namespace sirpy {
 struct FusionOptions {
   int min_consistent = 2;  // sources that must agree; all where fewer see the place
   double consistency = 1;  // pixels, forward-backward, or
-  double agreement = 2.5;  // standard deviations, whichever is more
+  double agreement = 1;    // standard deviations, whichever is more
   double yield_shift =
       0.5;  // pixels: a pixel leaves its point to a view that agrees better than this
   double yield_footprint =

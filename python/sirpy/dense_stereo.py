@@ -276,10 +276,11 @@ class _Estimator:
                 limits = self._options.min_depth, self._options.max_depth
                 field = searched_everywhere(field, seen, limits)
             elif self._whole is not None and self._whole.has("counts"):
-                least = self._options.min_consistent
                 extent = at_level(native.rectangle, self._whole.level)
                 counts = self._whole.read(native.name, extent, "counts")
-                sure = is_supported(counts >> np.uint32(8), counts & np.uint32(255), least)
+                cost = self._whole.read(native.name, extent, "cost")
+                seeing, agreeing = counts & np.uint32(255), counts >> np.uint32(8)
+                sure = is_supported(agreeing, seeing, cost, self._options)
                 depth = self._whole.read(native.name, extent, "depth")
                 field = searched_around(field, depth, sure, self._whole.level)
             self._fields[key] = field

@@ -42,7 +42,7 @@ class FusionOptions:
 
     min_consistent: int = 2  # sources whose depth must agree
     consistency: float = 1.0  # pixels, forward-backward, or
-    agreement: float = 2.5  # standard deviations, whichever is more
+    agreement: float = 1.0  # standard deviations, whichever is more
     keep_duplicates: bool = (
         False  # every view emits the surface, not only the one that sees it best
     )

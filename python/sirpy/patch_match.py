@@ -86,7 +86,7 @@ class PatchMatch(StereoBackend):
                 reference.window,
                 self.level,
                 prior.coarser,
-                self.options.min_consistent,
+                self.options,
             )
         return found
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.filtering import FilterOptions
 from sirpy.native_scene import Floats, NativeCamera
 from sirpy.rectangle import Rectangle
 from sirpy.stereo_backend import DepthMap, FloatMap
@@ -18,10 +19,14 @@ from sirpy.stereo_passes import PassMaps
 Counts = npt.NDArray[np.integer]
 
 
-def is_supported(num_consistent: Counts, num_seeing: Counts, least: int) -> npt.NDArray[np.bool_]:
-    """Whether enough sources agree: `least`, or all where fewer see the place, and one at least."""
-    needed = np.maximum(np.minimum(num_seeing, least), 1)
-    supported: npt.NDArray[np.bool_] = num_consistent >= needed
+def is_supported(
+    num_consistent: Counts, num_seeing: Counts, cost: FloatMap, options: FilterOptions
+) -> npt.NDArray[np.bool_]:
+    """Whether enough sources agree (all where fewer see the place, and one at least), more where it looks different
+    in them."""
+    needed = np.maximum(np.minimum(num_seeing, options.min_consistent), 1)
+    alike = (cost <= options.max_cost) | (num_consistent >= options.costly_consistent)
+    supported: npt.NDArray[np.bool_] = (num_consistent >= needed) & alike
     return supported
 
 
@@ -31,16 +36,19 @@ def settle(
     window: Rectangle,
     level: int,
     coarser: PassMaps,
-    min_consistent: int,
+    options: FilterOptions,
 ) -> None:
     """Puts the supported planes of the next coarser level in place of what a level found without support.
+
+    A depth that was held, since the level's pixels say less than the coarser ones, has their cost and texture: its
+    own would tell of noise.
 
     Args:
         found: of a geometric pass; changed.
         camera: of the reference.
         window: of `found`, pixels of the level.
         coarser: what the last pass of level + 1 has written.
-        min_consistent: sources that must agree, of those that see a pixel.
+        options: what makes a depth supported.
     """
     assert found.num_consistent is not None and found.num_seeing is not None
     start = coarser.start_rectangle(camera.name, window, level)
@@ -52,9 +60,14 @@ def settle(
     counts = coarser.read(camera.name, start, "counts")
     depth = coarser.read(camera.name, start, "depth")
     seeing, consistent = counts & np.uint32(255), counts >> np.uint32(8)
-    known = (is_supported(consistent, seeing, min_consistent) & (depth > 0))[nearest]
-    own = (found.depth > 0) & is_supported(found.num_consistent, found.num_seeing, min_consistent)
-    taken = known & ~own
+    cost = coarser.read(camera.name, start, "cost")
+    known = (is_supported(consistent, seeing, cost, options) & (depth > 0))[nearest]
+    assert found.cost is not None and found.texture is not None and found.level is not None
+    held = (found.depth > 0) & (found.level > level) & (depth > 0)[nearest]
+    found.cost[held] = cost[nearest][held]
+    found.texture[held] = coarser.read(camera.name, start, "texture")[nearest][held]
+    own = is_supported(found.num_consistent, found.num_seeing, found.cost, options)
+    taken = known & ~(own & (found.depth > 0))
     if not taken.any():
         return
     normal = coarser.read(camera.name, start, "normal")
