@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from sirpy.errors import InputError
 from sirpy.native_scene import Observations
 from sirpy.view_fields import ViewField
 
@@ -42,11 +43,19 @@ def searched_everywhere(
     Args:
         seen: of the native image.
         limits: nearest and farthest depth that a user knows; None where it is not known.
+
+    Raises:
+        InputError: the limits leave nothing.
     """
     if not field.sources:
         return field
     near, far = whole_range(seen)
     near, far = limits[0] or near, limits[1] or far
+    if near >= far:
+        raise InputError(
+            f"depths from {near:g} to {far:g} are nothing that {field.name} can see: check --min-depth and "
+            "--max-depth, in the unit of the model"
+        )
     known = field.allowed != 0
     return replace(
         field,

@@ -113,7 +113,8 @@ class FilterOptions:
     @property
     def margin(self) -> int:
         """Pixels around a pixel whose estimates have a say in what becomes of it."""
-        return max(self.speckle_pixels, _COPLANAR_REACH, _AROUND)
+        # Islands are found among what is sure enough, which the neighbourhood decides.
+        return self.speckle_pixels + max(_COPLANAR_REACH, _AROUND)
 
 
 def check_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) -> None:

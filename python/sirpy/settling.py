@@ -73,6 +73,9 @@ def settle(
     normal = coarser.read(camera.name, start, "normal")
     on_plane, facing = _on_planes(camera, window, level, start, depth, normal, (rows, columns))
     taken &= facing
+    if found.motion is not None:  # goes with the square of the depth
+        ratio = on_plane[taken] / np.where(found.depth > 0, found.depth, on_plane)[taken]
+        found.motion[taken] *= ratio * ratio
     found.depth[taken] = on_plane[taken]
     assert found.normal is not None
     for axis in range(3):
@@ -103,7 +106,7 @@ def _on_planes(
         plane = normal[axis][nearest]
         along += plane * rays[axis]
         own += plane * np.broadcast_to(coarse_rays[axis], depth.shape)[nearest]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ratio = own / along
         found = (depth[nearest] * ratio).astype(np.float32)
     return found, (ratio > 0.5) & (ratio < 2)

@@ -24,7 +24,8 @@ LAYERS = """
     survey sparse_model sfm
     lens recapturing sub_image_model native_scene
     colmap_lists ground view_fields view_windows view_selection windows photograph_detail
-    filtering depth_range stereo_backend stereo_passes patch_match judging dense_stereo patchmatchnet
+    filtering depth_range depth_search stereo_backend stereo_passes settling patch_match judging
+    dense_stereo patchmatchnet
     area layout planning sub_image_sets
     cut_tasks cutting
     clustering

@@ -109,6 +109,9 @@ class Known(StereoBackend):
             texture=numbers + 1000,
             num_seeing=counts,
             num_consistent=counts,
+            sigma=numbers + np.float32(0.1),
+            motion=numbers + 1,
+            level=np.zeros_like(counts),
         )
 
 
@@ -186,14 +189,14 @@ def test_a_package_gives_one_backend_or_a_list_of_them(
     (one,) = make_backends(setup_of("other"))
     assert one == PatchMatch(0)
     # It does not look at the depths of the sources, so they are judged after it.
-    passes = stereo_passes(2, StereoOptions(backend="other"), None)
+    passes = stereo_passes(2, 2, StereoOptions(backend="other"), None)
     assert passes[:1] == [PatchMatch(0)] and isinstance(passes[1], Judge) and passes[1].is_last
 
     (tmp_path / "list").mkdir()
     both = "def make(setup): return PatchMatch(0), PatchMatch(0, 'geometric')\n"
     offer(tmp_path / "list", monkeypatch, imported + both)
     expected = [PatchMatch(0), PatchMatch(0, "geometric")]
-    assert stereo_passes(2, StereoOptions(backend="other"), None) == expected
+    assert stereo_passes(2, 2, StereoOptions(backend="other"), None) == expected
 
 
 @pytest.mark.parametrize(
@@ -202,7 +205,8 @@ def test_a_package_gives_one_backend_or_a_list_of_them(
         ("[]", "made of nothing"),
         ("[PatchMatch(0), PatchMatch(0)]", "each must have a name of its own"),
         ("PatchMatch(1)", "the last must be at level 0"),
-        ("[PatchMatch(3), PatchMatch(0)]", "levels \\[3, 0\\]"),
+        # Levels above the coarsest of the views show whole photographs too; 8 is no part of a block.
+        ("[PatchMatch(8), PatchMatch(0)]", "levels \\[8, 0\\]"),
     ],
 )
 def test_passes_that_cannot_run_are_refused(
@@ -237,8 +241,15 @@ def test_what_is_no_depth_map_is_refused(found: DepthMap, what: str) -> None:
     window, of_pass = Rectangle(0, 0, 4, 3), PatchMatch(0)
     with pytest.raises(InputError, match=what):
         check_depth_map(found, window, OnlyDepth())
-    with pytest.raises(InputError, match="no normal"):
+    with pytest.raises(InputError, match="no level"):
         check_depth_map(DepthMap(np.ones((3, 4), np.float32)), window, of_pass)
+    known = DepthMap(
+        np.ones((3, 4), np.float32),
+        sigma=np.ones((3, 4), np.float32),
+        level=np.zeros((3, 4), np.uint8),
+    )
+    with pytest.raises(InputError, match="no normal"):
+        check_depth_map(known, window, of_pass)
 
 
 # What it is given.

@@ -40,7 +40,20 @@ def planes_of(rectangle: Rectangle) -> DepthMap:
     y, x = (axis.astype(np.float32) for axis in np.indices((rectangle.height, rectangle.width)))
     depth = 1 + x + rectangle.x0 + 100 * (y + rectangle.y0)
     views = np.uint32(0xFFFFFFFF) - depth.astype(np.int32).astype(np.uint32)  # many are no number
-    return DepthMap(depth, normal=np.stack([depth, -depth, depth / 2]), views=views)
+    level = (depth % 5).astype(np.uint8)
+    seeing = (depth % 7).astype(np.uint8)
+    return DepthMap(
+        depth,
+        normal=np.stack([depth, -depth, depth / 2]),
+        views=views,
+        cost=depth / 3,
+        texture=depth / 4,
+        num_seeing=seeing,
+        num_consistent=seeing // 2,
+        sigma=depth / 5,
+        motion=depth / 6,
+        level=level,
+    )
 
 
 def pass_maps(workspace: Workspace, of_pass: PatchMatch) -> PassMaps:
@@ -68,6 +81,21 @@ def test_a_rectangle_is_read_across_the_borders_of_units(tmp_path: Path, level: 
             found = maps.read("a.png", rectangle, kind)  # type: ignore[arg-type]
             assert found.dtype == expected[kind].dtype
             np.testing.assert_array_equal(found, expected[kind])
+
+
+def test_a_geometric_pass_writes_what_settles_the_finer_levels(tmp_path: Path) -> None:
+    geometric, photometric = (PatchMatch(1, kind, 1) for kind in ("geometric", "photometric"))
+    rectangle = Rectangle(2, 1, 7, 4)
+    expected = planes_of(rectangle)
+    for of_pass in (photometric, geometric):
+        maps = pass_maps(cut(tmp_path), of_pass)
+        np.testing.assert_array_equal(maps.read("a.png", rectangle, "sigma"), expected.sigma)
+        np.testing.assert_array_equal(maps.read("a.png", rectangle, "level"), expected.level)
+    assert geometric.planes == (*photometric.planes, "cost", "texture", "counts")
+    np.testing.assert_array_equal(maps.read("a.png", rectangle, "cost"), expected.cost)
+    counts = maps.read("a.png", rectangle, "counts")
+    np.testing.assert_array_equal(counts & np.uint32(255), expected.num_seeing)
+    np.testing.assert_array_equal(counts >> np.uint32(8), expected.num_consistent)
 
 
 def test_what_is_not_cut_reads_as_0(tmp_path: Path) -> None:
@@ -112,6 +140,9 @@ def test_a_pass_starts_from_the_same_level_or_with_the_four_nearest_of_the_coars
         for kind in ("depth", "normal", "views"):
             expected = getattr(planes_of(read), kind)
             np.testing.assert_array_equal(start[kind], expected)
+        np.testing.assert_array_equal(start["sigma"], planes_of(read).sigma)
+        np.testing.assert_array_equal(start["level_of"], planes_of(read).level)
+        assert start["level_of"].dtype == np.uint8
 
 
 def test_what_is_narrower_than_a_pixel_has_no_unit_and_no_start(tmp_path: Path) -> None:
@@ -133,7 +164,7 @@ def test_what_is_narrower_than_a_pixel_has_no_unit_and_no_start(tmp_path: Path) 
         lambda data: b"",
         lambda data: b"x" * len(data),
         lambda data: data.replace(b"<f4", b"<u4"),
-        lambda data: data.replace(b"(5, 3, 6)", b"(5, 6, 3)"),
+        lambda data: data.replace(b"(7, 3, 6)", b"(7, 6, 3)"),
     ],
 )
 def test_damaged_files_are_said_and_can_be_made_again(

@@ -180,7 +180,9 @@ def test_every_allowed_source_sees_the_block(num_sources: int) -> None:
         assert (field.allowed != 0).mean() > 0.5
         for row, column in np.ndindex(*field.allowed.shape):
             names = _allowed_names(field, row, column)
-            assert len(names) <= num_sources
+            assert (
+                len(names) <= num_sources + 2
+            )  # more where some pixels would have less than three
             block = Rectangle(128 * column, 128 * row, 128, 128).intersection(WHOLE)
             ys, xs = np.mgrid[block.y0 : block.y1 : 4, block.x0 : block.x1 : 4]
             pixels = np.column_stack([xs.ravel(), ys.ravel()]).astype(float)
