@@ -6,6 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from sirpy.filtering import FilterOptions
 from sirpy.native_scene import NativeCamera
 from sirpy.rectangle import Rectangle
 from sirpy.settling import is_supported, settle
@@ -13,6 +14,7 @@ from sirpy.stereo_backend import DepthMap
 from sirpy.stereo_passes import at_level
 
 LEVEL = 1
+OPTIONS = FilterOptions()
 CAMERA = NativeCamera(
     "a.png",
     82,
@@ -86,16 +88,37 @@ def fine() -> DepthMap:
 
 def test_enough_is_what_can_be_had() -> None:
     agreeing, seeing = np.array([0, 1, 1, 2, 2, 3, 0]), np.array([0, 1, 2, 2, 9, 9, 5])
+    alike = np.full(7, 0.1, np.float32)
     np.testing.assert_array_equal(
-        is_supported(agreeing, seeing, 2), [False, True, False, True, True, True, False]
+        is_supported(agreeing, seeing, alike, OPTIONS),
+        [False, True, False, True, True, True, False],
     )
-    assert not is_supported(np.array(0), np.array(3), 0)  # one at least
+    none = FilterOptions(min_consistent=0)
+    assert not is_supported(np.array(0), np.array(3), np.float32(0.1), none)  # one at least
+
+
+def test_what_looks_different_needs_more_sources() -> None:
+    agreeing, seeing = np.array([2, 4, 5]), np.array([9, 9, 9])
+    different = np.full(3, 0.9, np.float32)
+    np.testing.assert_array_equal(
+        is_supported(agreeing, seeing, different, OPTIONS), [False, False, True]
+    )
+
+
+def test_what_is_held_has_the_cost_of_its_level() -> None:
+    window, found = at_level(IMAGE, LEVEL), plane(at_level(IMAGE, LEVEL), LEVEL)
+    found.level[:, 20:] = LEVEL + 1  # the level's own pixels are noise there
+    found.cost[:] = 0.9
+    found.num_consistent[:] = 5
+    settle(found, CAMERA, window, LEVEL, Coarser(coarse()), OPTIONS)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(found.cost[:, :20], np.float32(0.9))
+    np.testing.assert_array_equal(found.cost[:, 20:], np.float32(0.1))
 
 
 def test_what_has_no_support_takes_the_plane_of_the_coarser_level() -> None:
     window, found = at_level(IMAGE, LEVEL), fine()
     before = fine()
-    settle(found, CAMERA, window, LEVEL, Coarser(coarse()), 2)  # type: ignore[arg-type]
+    settle(found, CAMERA, window, LEVEL, Coarser(coarse()), OPTIONS)  # type: ignore[arg-type]
     left, right = np.s_[..., :20], np.s_[..., 20:]
     expected = plane(window, LEVEL)
     # On the plane, not in its steps.
@@ -116,7 +139,7 @@ def test_what_no_level_supports_stays() -> None:
     window, found, before = at_level(IMAGE, LEVEL), fine(), fine()
     unsupported = coarse()
     unsupported.num_consistent[:] = 1
-    settle(found, CAMERA, window, LEVEL, Coarser(unsupported), 2)  # type: ignore[arg-type]
+    settle(found, CAMERA, window, LEVEL, Coarser(unsupported), OPTIONS)  # type: ignore[arg-type]
     for one in fields(found):
         np.testing.assert_array_equal(getattr(found, one.name), getattr(before, one.name))
 
@@ -128,7 +151,7 @@ def test_planes_edge_on_and_holes_are_not_taken() -> None:
     damaged.depth[:, :5] = 0
     damaged.normal[:, :, 5:] = 0
     damaged.normal[0, :, 6:] = 1  # along the view: the plane is met anywhere
-    settle(found, CAMERA, window, LEVEL, Coarser(damaged), 2)  # type: ignore[arg-type]
+    settle(found, CAMERA, window, LEVEL, Coarser(damaged), OPTIONS)  # type: ignore[arg-type]
     assert np.isfinite(found.depth).all()
     np.testing.assert_array_equal(found.depth[:, :12], before.depth[:, :12])
     changed = found.depth != before.depth
@@ -149,8 +172,8 @@ def test_the_window_has_no_part_in_it(window: Rectangle) -> None:
     rows, columns = window.slices_in(image)
     part = part_of(fine(), rows, columns)
     coarser = Coarser(coarse())
-    settle(whole, CAMERA, image, LEVEL, coarser, 2)  # type: ignore[arg-type]
-    settle(part, CAMERA, window, LEVEL, coarser, 2)  # type: ignore[arg-type]
+    settle(whole, CAMERA, image, LEVEL, coarser, OPTIONS)  # type: ignore[arg-type]
+    settle(part, CAMERA, window, LEVEL, coarser, OPTIONS)  # type: ignore[arg-type]
     for one in fields(part):
         np.testing.assert_array_equal(
             getattr(part, one.name), getattr(whole, one.name)[..., rows, columns]
