@@ -63,9 +63,8 @@ class Estimate:
     num_consistent: ByteMap  # sources whose own depth agrees within a pixel
     texture: FloatMap  # variance of the grey levels in the patch
     sigma: FloatMap  # standard deviation of the depth
-    motion: (
-        FloatMap  # change of depth that moves it by a pixel in the sources; 0 where it is not seen
-    )
+    motion: FloatMap  # change of depth by a pixel of motion in the sources; 0 where it is not seen
+    level: ByteMap  # of the pixels that the depth comes from
 
     def units(self, focal: float) -> FloatMap:
         """What the sources resolve: depth, (height, width); `focal` in pixels."""
@@ -255,9 +254,10 @@ def neighbourhood(
 
 
 def _log_deviation(estimate: Estimate, focal: float) -> FloatMap:
-    """Logarithm of the standard deviation in units of the sources; of what is not seen that of 20 units."""
+    """Logarithm of the standard deviation in units of the sources at the level that the depth comes from, so that it
+    counts as in photographs that are decimated to that level; of what is not seen that of 20 units."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = estimate.sigma / estimate.units(focal)
+        ratio = estimate.sigma / np.ldexp(estimate.units(focal), estimate.level.astype(np.int32))
     seen = (estimate.depth > 0) & (ratio > 0)
     logarithm: FloatMap = np.log(np.clip(np.where(seen, ratio, np.float32(20)), 0.05, 20))
     return logarithm.astype(np.float32, copy=False)

@@ -40,6 +40,7 @@ def facing_plane(height: int = 30, width: int = 40) -> Estimate:
         texture=np.full(shape, 200, np.float32),
         sigma=np.full(shape, 0.02, np.float32),
         motion=np.full(shape, 0.1, np.float32),  # as deep as a pixel is wide
+        level=np.zeros(shape, np.uint8),
     )
 
 
@@ -208,6 +209,7 @@ def random_estimate(seed: int) -> Estimate:
         .repeat(10, 1)[:80, :110]
         .astype("f4"),
         motion=random.choice([0, 0.05, 0.2], shape).astype(np.float32),
+        level=random.integers(0, 3, shape).astype(np.uint8),
     )
 
 
