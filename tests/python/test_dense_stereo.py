@@ -48,8 +48,8 @@ def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def short_passes() -> Iterator[None]:
     """One sweep in every pass."""
 
-    def shortened(coarsest: int, options: StereoOptions) -> list[PatchMatch]:
-        return [replace(one, iterations=1) for one in passes(coarsest, options)]
+    def shortened(coarsest: int, options: StereoOptions, top: int) -> list[PatchMatch]:
+        return [replace(one, iterations=1) for one in passes(coarsest, options, top)]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(patch_match, "passes", shortened)
@@ -81,17 +81,19 @@ def _stereo(
 
 
 def _maps(workspace: Workspace) -> dict[str, NDArray[Any]]:
-    """Of each native image: depth, normal, reason, confidence, (6, height, width), put together of the
-    cores."""
+    """Of each native image: depth, normal, reason, confidence, deviation, level, (8, height, width), put together
+    of the cores."""
     maps = {}
     for native in workspace.natives:
-        planes = np.full((6, native.height, native.width), -1, np.float32)  # what is not cut
+        planes = np.full((8, native.height, native.width), -1, np.float32)  # what is not cut
         for sub in native.sub_images:
             found = [
                 read_map(workspace.depth_map(sub, "geometric"))[None],
                 read_map(workspace.normal_map(sub, "geometric")),
                 read_map(workspace.reason_map(sub))[None],
                 read_map(workspace.confidence_map(sub))[None],
+                read_map(workspace.sigma_map(sub))[None],
+                read_map(workspace.level_map(sub))[None],
             ]
             core = (slice(None), *sub.core.slices_in(sub.stored))
             planes[(slice(None), *sub.core.slices_in(native.rectangle))] = np.concatenate(found)[
@@ -177,8 +179,8 @@ def test_maps_that_are_deleted_are_made_again(whole: Workspace, tmp_path: Path) 
     workspace = Workspace(shutil.copytree(whole.folder, tmp_path / "out"))
     maps = [workspace.stereo_maps(sub) for _, sub in workspace.sub_images()]
     untouched = {path: path.stat().st_mtime_ns for path in maps[-1]}
-    for index in range(4):  # another kind of each of the first photographs
-        maps[index][index].unlink()
+    for index in range(len(maps[0])):  # another kind of each of the first photographs
+        maps[index % 4][index].unlink()
     stereo(workspace, options=QUICK)
     for path in (path for paths in maps for path in paths):
         assert path.read_bytes() == (whole.folder / path.relative_to(workspace.folder)).read_bytes()

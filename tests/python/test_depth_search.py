@@ -48,7 +48,9 @@ def test_what_a_user_knows_comes_first(field: ViewField) -> None:
 
 
 def test_limits_that_leave_nothing_are_said(field: ViewField) -> None:
-    with pytest.raises(InputError, match=r"^depths from 500 to 20\d\.\d are nothing that 002\.jpg can see"):
+    with pytest.raises(
+        InputError, match=r"^depths from 500 to 20\d\.\d are nothing that 002\.jpg can see"
+    ):
         searched_everywhere(field, SEEN, (500.0, None))
 
 

@@ -57,6 +57,8 @@ def scene(tmp_path: Path) -> Scene:
             workspace.normal_map(sub, "geometric"), kept * np.array([0, 0, -1], "f4")[:, None, None]
         )
         write_map(workspace.confidence_map(sub), kept * np.float32(0.9))
+        write_map(workspace.sigma_map(sub), kept * np.float32(0.1))
+        write_map(workspace.level_map(sub), kept * 0)
         write_map(workspace.reason_map(sub), reason[part].astype(np.float32))
         subs.append(sub)
     workspace.write_index([NativeImage("a.png", *SIZE, tuple(subs))], [])

@@ -67,7 +67,7 @@ def test_threads_and_a_second_run_change_nothing(
 ) -> None:
     one, other = run(town, tmp_path / "1", threads=1), run(town, tmp_path / "3", threads=3)
     files = [path for _, sub in one.sub_images() for path in one.stereo_maps(sub)]
-    assert len(files) == 12 * 4 and not one.passes.exists()
+    assert len(files) == 12 * 6 and not one.passes.exists()
     for path in files:
         assert path.read_bytes() == (other.folder / path.relative_to(one.folder)).read_bytes()
     written = {path: path.stat().st_mtime_ns for path in files}

@@ -39,7 +39,8 @@ py::array_t<float> RunFillGaps(const Array<float>& heights, const GapOptions& op
 }  // namespace
 
 void BindSurfaceModel(py::module_& module) {
-  PYBIND11_NUMPY_DTYPE(CloudPoint, x, y, z, nx, ny, nz, red, green, blue, views, confidence, gsd);
+  PYBIND11_NUMPY_DTYPE(CloudPoint, x, y, z, nx, ny, nz, red, green, blue, views, confidence, gsd,
+                       sigma, level);
 
   py::class_<SurfaceOptions>(module, "SurfaceOptions")
       .def(py::init<>())
