@@ -210,7 +210,8 @@ RowCount FuseRow(const fusion::Kernels& kernels, const DepthView& reference,
       if (Yields(run, i, needed, options)) {
         ++count.yielded;
       } else if (run.num_close[i] < needed &&
-                 run.num_consistent[i] < std::min(needed + 1, std::max(1, int(run.num_seeing[i])))) {
+                 run.num_consistent[i] <
+                     std::min(needed + 1, std::max(1, int(run.num_seeing[i])))) {
         ++count.inconsistent;
       } else if (run.num_through[i] > run.num_consistent[i]) {
         ++count.seen_through;

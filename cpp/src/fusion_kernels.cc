@@ -53,7 +53,8 @@ void Begin(const Reference& reference, Run* run) {
     run->plane[1][i] = my * slope;
     run->towards[i] = at_pixel / rho;
     run->footprint[i] = Footprint(1 / rho, run->towards[i], reference.focal_area);
-    run->num_seeing[i] = run->num_close[i] = run->num_consistent[i] = run->num_through[i] = run->has_better[i] = 0;
+    run->num_seeing[i] = run->num_close[i] = run->num_consistent[i] = run->num_through[i] =
+        run->has_better[i] = 0;
     run->sum_weight[i] = Weight(run->deviation[i]);
     run->sum_inverse_depth[i] = rho * run->sum_weight[i];
   }

@@ -40,7 +40,7 @@ struct PatchMatchOptions {
   // Grey levels squared: the variance of noise, by 16 steps of brightness. A patch that varies no
   // more keeps the depth of the start.
   std::array<double, 16> noise = {2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2};
-  double prior_weight = 0.3;   // of the depth of the start, by its standard deviation
+  double prior_weight = 0.3;  // of the depth of the start, by its standard deviation
   bool everywhere = false;    // also with a start: depths at random are tried beside it
   uint64_t seed = 0;          // of the run, the native image and the pass
   int threads = 0;            // 0: one for each core
