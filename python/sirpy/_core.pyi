@@ -290,6 +290,8 @@ def complete_planes(
     """depth, normal and 1 where they are those of a plane around; source_centres: n x 3, in the
     camera frame."""
 
+PLANAR_COMPLETION_MARGIN: int  # pixels of the level around a pixel that `complete_planes` looks at
+
 def patch_match_margin(iterations: int) -> int:
     """Pixels of the level around a pixel that its result depends on."""
 

@@ -260,7 +260,8 @@ class _Estimator:
         if native.name not in self._noise:
             self._noise[native.name] = stored_detail(self._workspace, native).sure_noise
         noise = self._noise[native.name]
-        return noise[min(level, len(noise) - 1)]
+        of_level: npt.NDArray[np.float32] = noise[min(level, len(noise) - 1)]
+        return of_level
 
     def _depth_range(self, native: NativeImage, window: Rectangle, level: int) -> DepthRange:
         covered = native_pixels(window, level, native.rectangle)

@@ -45,7 +45,7 @@ class PatchMatch(StereoBackend):
     iterations: int = 2  # sweeps
     offers: int = 8  # planes of neighbours that a pixel tries
     largest_step: float = 2.0  # pixels of motion in the sources, of the first refinement
-    complete: bool = False  # weak texture takes the planes around it; of whole photographs only
+    complete: bool = False  # weak texture takes the planes around it
     everywhere: bool = False  # depths at random over the whole range are tried too
     options: StereoOptions = field(default_factory=StereoOptions)
 
@@ -61,7 +61,8 @@ class PatchMatch(StereoBackend):
 
     @property
     def margin(self) -> int:
-        return int(_core.patch_match_margin(self.iterations))
+        completion = int(_core.PLANAR_COMPLETION_MARGIN) if self.complete else 0
+        return int(_core.patch_match_margin(self.iterations)) + completion
 
     def memory(self, reference_pixels: int, source_pixels: int) -> int:
         reference, source, at_end = _core.patch_match_bytes_per_pixel()
@@ -133,6 +134,7 @@ class PatchMatch(StereoBackend):
         """Gives weak texture the planes around it (cpp/src/patch_match/planar_completion.h)."""
         options = _core.PlanarCompletionOptions()
         options.threads = self.options.threads
+        options.min_consistent = min(options.min_consistent, len(sources))
         assert found.normal is not None and found.views is not None
         assert found.texture is not None and found.num_consistent is not None
         found.depth, found.normal, _ = _core.complete_planes(
@@ -171,12 +173,12 @@ def passes(coarsest: int, options: StereoOptions, top: int = 0) -> list[PatchMat
     for level in range(coarsest - 1, 0, -1):
         found += [
             PatchMatch(level, "photometric", 2, options=options),
-            PatchMatch(level, "geometric", 1, options=options),
+            PatchMatch(level, "geometric", 1, complete=True, options=options),
         ]
     return [
         *found,
         PatchMatch(0, "photometric", native, offers=5, options=options),
-        PatchMatch(0, "geometric", geometric, offers=5, options=options),
+        PatchMatch(0, "geometric", geometric, offers=5, complete=True, options=options),
     ]
 
 

@@ -258,6 +258,7 @@ void BindStereo(py::module_& module) {
              py::arg("views").noconvert(), py::arg("texture").noconvert(),
              py::arg("num_consistent").noconvert(), py::arg("source_centres").noconvert(),
              py::arg("options"));
+  module.attr("PLANAR_COMPLETION_MARGIN") = kPlanarCompletionMargin;
   module.def("patch_match_margin", &PatchMatchMargin, py::arg("iterations"));
   module.def(
       "shrunk",

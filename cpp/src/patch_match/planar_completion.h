@@ -62,6 +62,10 @@ struct PlanarCompletion {
 };
 
 // `source_centres`: projection centres of the sources in the camera frame of the reference.
+// How far from a pixel, in pixels of the level, its plane can depend on the maps: two rounds of rays,
+// and the smoothed grey levels at their ends.
+constexpr int kPlanarCompletionMargin = 2 * (48 + 1);
+
 PlanarCompletion CompletePlanes(const CompletionMaps& maps,
                                 const std::vector<Eigen::Vector3d>& source_centres,
                                 const PlanarCompletionOptions& options);
