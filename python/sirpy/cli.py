@@ -373,7 +373,7 @@ def stereo(
     min_consistent: Annotated[int, typer.Option(help="Sources that must agree.")] = 2,
     min_confidence: Annotated[
         float, typer.Option(help="Probability to be right below which there is no depth.")
-    ] = 0.6,
+    ] = 0.7,
     min_depth: MinDepth = None,
     max_depth: MaxDepth = None,
     explain: Annotated[

@@ -32,7 +32,7 @@ _BAND_PIXELS = 1 << 17  # looked at a time, so that the memory is that of the ma
 RIGHT_UNITS, RIGHT_DEVIATIONS = 2.0, 2.5
 
 # Log-odds that a depth is right, for one unit of each `evidence`. Fitted by benchmarks/confidence.py.
-CONFIDENCE = np.array([-3.059, 0.133, 0.910, -0.600, 3.872, -0.342, 0.068, -1.657, 1.998])
+CONFIDENCE = np.array([-3.798, 0.181, 0.419, -0.869, 3.924, -0.404, 0.050, -1.938, 2.548])
 # The same of depths that a network found without a look at those of the sources.
 JUDGED_CONFIDENCE = np.array([-3.658, 0.235, 2.411, -2.338, 2.324, -0.512, 0.0, 0.0, 0.0])
 
@@ -80,7 +80,7 @@ class FilterOptions:
     min_consistent: int = 2  # sources whose depth must agree
     # The same for pixels above max_cost: noise decides there, not texture.
     costly_consistent: int = 5
-    min_confidence: float = 0.6  # of a depth to be right
+    min_confidence: float = 0.7  # of a depth to be right
     max_deviation: float = 100.0  # standard deviation, in units of the sources
     max_angle: float = 80.0  # degrees between ray and normal
     speckle_pixels: int = 6  # smaller islands are left out; at most the halo
