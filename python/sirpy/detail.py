@@ -27,7 +27,7 @@ class Detail:
     """What a photograph carries."""
 
     noise: Floats
-    """Variance of the noise in squared grey levels, (7, 16), by level and brightness."""
+    """Variance of the noise in squared grey levels, (8, 16), by level and brightness."""
     resolution: float
     """Native pixels, at least 1: the finest detail that is more than noise."""
 

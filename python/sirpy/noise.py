@@ -11,7 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-LEVELS, BINS = 7, 16  # of brightness: 16 grey levels each
+LEVELS, BINS = (
+    8,
+    16,
+)  # as many as stereo has (view_windows.MOST_LEVEL); of brightness: 16 grey levels each
 _BLOCK = 8
 _OFFSET = 4  # blocks of JPEG end inside those of the estimate, so that steps between them are noise
 _LEAST_BLOCKS, _QUIETEST = 8, 0.01  # of each brightness: a number, or a share if that is more
@@ -23,7 +26,7 @@ Floats = NDArray[np.float32]
 
 
 def measure_noise(windows: list[Grey]) -> Floats:
-    """Variance in squared grey levels, (7, 16), by level and brightness; at least that of rounding.
+    """Variance in squared grey levels, (8, 16), by level and brightness; at least that of rounding.
 
     A brightness with too few blocks gets what those beside it have. Photographs without any quiet place have texture
     in it: more than the truth.

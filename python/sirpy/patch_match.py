@@ -30,9 +30,10 @@ from sirpy.view_fields import ViewField
 from sirpy.workspace import Pass
 
 _LEAST_SIDE = 2  # pixels of a source's window: what is narrower holds no patch
-# What the core is handed, for each pixel of the window (grey 1; of the pass before depth 4, normal 12, sources 4) and
-# of each source window (grey 1, inverse depth 4).
-_GIVEN = 26, 9
+# What is held while the core works, for each pixel of the window (grey 1; of the pass before depth 4, normal 12,
+# sources 4, standard deviation 4, level 1) and of each source window (grey 1; depth 4, its standard deviation 4, and
+# the inverse of both, 8).
+_GIVEN = 26, 17
 _SWEEP_US = 0.72, 0.27  # CPU microseconds of a sweep for a pixel, and for each of its sources
 
 

@@ -42,7 +42,7 @@ _SHRINKING_BYTES = (
     50_000_000  # of stereo: bands of native pixels on their way to the coarsest level
 )
 # Fusion: the colours of the core; maps, windows of sources and points of a block of 512 x 512.
-_FUSE_BYTES, _FUSE_BLOCK_BYTES = (3, 0), 80_000_000
+_FUSE_BYTES, _FUSE_BLOCK_BYTES = (3, 0), 100_000_000
 # What stereo on a GPU holds here, for each pixel of the reference: the image, ranges, random numbers, the result.
 _GIVEN_TO_A_DEVICE = 25
 _REPORT_BYTES = 220_000_000  # its pictures, whatever the photographs
@@ -62,11 +62,11 @@ _ENGINE_BYTES_PER_PIXEL = 200
 _CUT_TIME, _FUSE_TIME, _REPORT_TIME = 0.025, 0.3, 0.05
 _VIEWS_TIME = 60_000.0, 1_500.0
 # Bytes on disk: of a stored pixel as JPEG of quality 95 and as PNG; its maps (depth 4, normal 12, reason 4,
-# confidence 4) and those of the passes, while stereo runs (20 a pass, 27 in all); points per pixel, 48 bytes each in
-# its part and again in the cloud.
+# confidence 4, standard deviation 4, level 4) and those of the passes, while stereo runs (28 and 40 a level, the
+# latter not of the last: 51 in all); points per pixel, 56 bytes each in its part and again in the cloud.
 _JPEG_BYTES, _PNG_BYTES = 0.5, 2.0
-_MAP_FILES, _MAP_BYTES = 4, 51
-_POINTS_PER_PIXEL, _POINT_BYTES = 0.3, 96
+_MAP_FILES, _MAP_BYTES = 6, 83
+_POINTS_PER_PIXEL, _POINT_BYTES = 0.3, 112
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,14 @@ from sirpy.dense_stereo import stereo
 from sirpy.fusion import fuse
 from sirpy.layout import Region
 from sirpy.native_scene import read_native_scene
+from sirpy.noise import LEVELS
 from sirpy.patch_match import PatchMatch, passes
 from sirpy.ply import read_vertices
 from sirpy.rectangle import Grid, Rectangle
 from sirpy.stereo_backend import StereoOptions
 from sirpy.synthetic import read_truth, render_scene
 from sirpy.view_selection import read_views, views
+from sirpy.view_windows import MOST_LEVEL
 from sirpy.windows import read_map
 from sirpy.workspace import Workspace
 from tele_scene import wide_and_tele
@@ -173,6 +175,17 @@ def test_what_is_narrower_than_a_coarse_pixel_starts_at_a_finer_level(
     # Of every photograph a single native pixel: there is nothing to match.
     speck = _stereo(field, tmp_path / "1", Grid(1, 1), FULL, region=Region(Rectangle(5, 5, 1, 1)))
     assert all((planes[0] <= 0).all() for planes in _maps(speck).values())
+
+
+def test_photographs_may_be_searched_from_the_coarsest_level_that_there_is(
+    field: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As of photographs with a shorter side of 3,072 pixels and more; these have 3 x 1 there.
+    assert LEVELS > MOST_LEVEL
+    monkeypatch.setattr("sirpy.dense_stereo.top_level", lambda sizes, coarsest: MOST_LEVEL)
+    found = _maps(_stereo(field, tmp_path, Grid(1, 1), FULL))
+    for planes in found.values():
+        assert (planes[0] > 0).mean() > 0.3
 
 
 def test_maps_that_are_deleted_are_made_again(whole: Workspace, tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def test_white_noise_is_found_beside_texture_and_falls_by_4_each_level(
     scene: Image, sigma: float
 ) -> None:
     noise = measure(scene + sigma * white(len(scene), 2)).noise[:, 110 // 16]
-    expected = np.maximum(sigma**2 / 4.0 ** np.arange(7), 1 / 12)
+    expected = np.maximum(sigma**2 / 4.0 ** np.arange(8), 1 / 12)
     assert noise == pytest.approx(expected, rel=0.25)
 
 
@@ -89,7 +89,7 @@ def test_resolution_follows_blur() -> None:
 @pytest.mark.parametrize("grey", [0, 100, 255])
 def test_what_shows_nothing_has_the_noise_of_rounding(shape: tuple[int, int], grey: int) -> None:
     found = measure(np.full(shape, float(grey)))
-    assert found.noise == pytest.approx(np.full((7, 16), 1 / 12))
+    assert found.noise == pytest.approx(np.full((8, 16), 1 / 12))
     assert found.resolution >= 1
 
 

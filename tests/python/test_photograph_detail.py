@@ -49,7 +49,7 @@ def test_few_are_measured_and_those_that_cannot_be_read_are_left_out(tmp_path: P
 
 
 def test_what_is_said() -> None:
-    noise = np.full((7, 16), 4.0, np.float32)
+    noise = np.full((8, 16), 4.0, np.float32)
     details = {
         name: Detail(noise, resolution)
         for name, resolution in (("a", 1.2), ("b", 3.62), ("c", 1.9), ("d", 2.1), ("e", 1.0))

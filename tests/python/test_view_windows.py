@@ -22,6 +22,7 @@ from sirpy.view_windows import (
     coarsest_level,
     source_windows,
     sub_image_views,
+    top_level,
 )
 
 SCENE = plane_scene(count=7, width=800, height=600)
@@ -227,6 +228,23 @@ def test_the_pixels_of_a_pass_are_those_of_its_level() -> None:
     finer = tuple(replace(source, level=1) for source in field.sources)
     selection._fields["003.jpg"] = replace(field, sources=finer)
     assert selection.pixels("003.jpg", whole)[1] == pytest.approx(native[1] / 4, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "coarsest", "level"),
+    [
+        ([(432, 200)], 2, 3),  # 25 of the shorter side
+        ([(60, 40)], 2, 2),  # never below the coarsest
+        ([(6000, 4000)], 2, 7),
+        ([(6000, 3071)], 2, 6),
+        ([(13470, 8670)], 4, 7),  # and never above what blocks are made of
+        ([(6000, 4000), (1000, 768)], 2, 5),  # the smallest photograph decides
+    ],
+)
+def test_the_top_level_still_shows_something(
+    sizes: list[tuple[int, int]], coarsest: int, level: int
+) -> None:
+    assert top_level(sizes, coarsest) == level
 
 
 def test_a_window_wider_than_stereo_can_address_is_refused() -> None:
