@@ -206,6 +206,7 @@ TEST(Fusion, SurerDepthsWeighMore) {
   };
   FusionOptions options;
   options.keep_duplicates = true;
+  options.agreement = 2.5;
   wrong(0.4);
   const FusedPoints points = scene.FuseOne(0, options);
   const FusedPoint* sure = scene.PointOf(points, kMiddle);
@@ -230,6 +231,7 @@ TEST(Fusion, AgreementIsASmallNumberOfStandardDeviations) {
   scene.views[0].depth[kMiddle] += 0.5f;
   FusionOptions options;
   options.keep_duplicates = true;
+  options.agreement = 2.5;
   const auto is_there = [&] {
     return scene.PointOf(scene.FuseOne(0, options), kMiddle) != nullptr;
   };
@@ -241,6 +243,21 @@ TEST(Fusion, AgreementIsASmallNumberOfStandardDeviations) {
   EXPECT_FALSE(is_there());  // 7
   scene.sigma[0][kMiddle] = 0.3f;
   EXPECT_TRUE(is_there());  // its own word counts
+}
+
+TEST(Fusion, MoreThanAPixelApartOneMoreMustAgree) {
+  SureViews scene({0.2f, 0.2f, 0.2f, 0.2f});
+  FusionOptions options;
+  options.keep_duplicates = true;
+  options.agreement = 2.5;
+  const auto is_there = [&] {
+    return scene.PointOf(scene.FuseOne(0, options), kMiddle) != nullptr;
+  };
+  // Two sources are enough within a pixel, three beyond.
+  std::fill(scene.views[3].depth.begin(), scene.views[3].depth.end(), 0.f);
+  EXPECT_TRUE(is_there());
+  scene.views[0].depth[kMiddle] += 0.5f;
+  EXPECT_FALSE(is_there());
 }
 
 TEST(Fusion, AsManyMustAgreeAsSeeThePlace) {
