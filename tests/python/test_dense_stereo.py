@@ -132,7 +132,7 @@ def test_with_the_default_passes_a_grid_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(patch_match, "passes", passes)
-    options, halo = StereoOptions(), 160
+    options, halo = StereoOptions(), 161
     of_sub_images = [one for one in passes(2, options) if one.level < 2]
     assert max(one.margin + options.margin * one.is_last for one in of_sub_images) <= halo
     scene = render_scene(tmp_path / "scene", image_count=3, size=(480, 110), seed=5)
