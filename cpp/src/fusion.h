@@ -6,10 +6,10 @@
 //
 // A depth is believed when the depths of enough of the sources that see it agree: forward-backward
 // error below `consistency` pixels (Schoenberger et al., ECCV 2016, section 4.6), or of one source
-// more below `agreement` standard deviations, and fewer see through it. The point is the mean of what the agreeing views
-// measure along the ray, weighted by their variances. A surface that several views see is emitted
-// by the one whose pixels are the smallest on it, which is a matter of distance and angle, unless
-// another knows it much better.
+// more below `agreement` standard deviations, and fewer see through it. The point is the mean of
+// what the agreeing views measure along the ray, weighted by their variances. A surface that
+// several views see is emitted by the one whose pixels are the smallest on it, which is a matter of
+// distance and angle, unless another knows it much better.
 #pragma once
 
 #include <cstdint>

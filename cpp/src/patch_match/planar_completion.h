@@ -61,11 +61,11 @@ struct PlanarCompletion {
   std::vector<uint8_t> completed;  // 1 where depth and normal are those of a plane around
 };
 
-// `source_centres`: projection centres of the sources in the camera frame of the reference.
-// How far from a pixel, in pixels of the level, its plane can depend on the maps: two rounds of rays,
-// and the smoothed grey levels at their ends.
+// How far from a pixel, in pixels of the level, its plane can depend on the maps: two rounds of
+// rays, and the smoothed grey levels at their ends.
 constexpr int kPlanarCompletionMargin = 2 * (48 + 1);
 
+// `source_centres`: projection centres of the sources in the camera frame of the reference.
 PlanarCompletion CompletePlanes(const CompletionMaps& maps,
                                 const std::vector<Eigen::Vector3d>& source_centres,
                                 const PlanarCompletionOptions& options);
