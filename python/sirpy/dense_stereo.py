@@ -53,6 +53,7 @@ from sirpy.stereo_passes import (
     native_pixels,
     nothing_found,
     read_pixels,
+    seeing_and_consistent,
     units,
     write_planes,
 )
@@ -280,7 +281,7 @@ class _Estimator:
                 extent = at_level(native.rectangle, self._whole.level)
                 counts = self._whole.read(native.name, extent, "counts")
                 cost = self._whole.read(native.name, extent, "cost")
-                seeing, agreeing = counts & np.uint32(255), counts >> np.uint32(8)
+                seeing, agreeing = seeing_and_consistent(counts)
                 sure = is_supported(agreeing, seeing, cost, self._options)
                 depth = self._whole.read(native.name, extent, "depth")
                 field = searched_around(field, depth, sure, self._whole.level)

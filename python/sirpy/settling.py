@@ -14,7 +14,7 @@ from sirpy.filtering import FilterOptions
 from sirpy.native_scene import Floats, NativeCamera
 from sirpy.rectangle import Rectangle
 from sirpy.stereo_backend import DepthMap, FloatMap
-from sirpy.stereo_passes import PassMaps
+from sirpy.stereo_passes import PassMaps, seeing_and_consistent
 
 Counts = npt.NDArray[np.integer]
 
@@ -57,15 +57,15 @@ def settle(
     rows = np.clip(np.arange(window.y0, window.y1) // 2 - start.y0, 0, start.height - 1)
     columns = np.clip(np.arange(window.x0, window.x1) // 2 - start.x0, 0, start.width - 1)
     nearest = np.ix_(rows, columns)
-    counts = coarser.read(camera.name, start, "counts")
+    seeing, consistent = seeing_and_consistent(coarser.read(camera.name, start, "counts"))
     depth = coarser.read(camera.name, start, "depth")
-    seeing, consistent = counts & np.uint32(255), counts >> np.uint32(8)
     cost = coarser.read(camera.name, start, "cost")
+    texture = coarser.read(camera.name, start, "texture")
     known = (is_supported(consistent, seeing, cost, options) & (depth > 0))[nearest]
     assert found.cost is not None and found.texture is not None and found.level is not None
     held = (found.depth > 0) & (found.level > level) & (depth > 0)[nearest]
     found.cost[held] = cost[nearest][held]
-    found.texture[held] = coarser.read(camera.name, start, "texture")[nearest][held]
+    found.texture[held] = texture[nearest][held]
     own = is_supported(found.num_consistent, found.num_seeing, found.cost, options)
     taken = known & ~(own & (found.depth > 0))
     if not taken.any():
@@ -82,7 +82,9 @@ def settle(
         found.normal[axis][taken] = normal[axis][nearest][taken]
     found.num_seeing[taken] = seeing[nearest][taken]
     found.num_consistent[taken] = consistent[nearest][taken]
-    for name in ("views", "sigma", "level", "cost", "texture"):
+    found.cost[taken] = cost[nearest][taken]
+    found.texture[taken] = texture[nearest][taken]
+    for name in ("views", "sigma", "level"):
         plane = getattr(found, name)
         plane[taken] = coarser.read(camera.name, start, name)[nearest][taken]
 

@@ -162,6 +162,13 @@ def _counts(found: DepthMap) -> npt.NDArray[np.uint32]:
     return found.num_seeing + found.num_consistent.astype(np.uint32) * np.uint32(256)
 
 
+def seeing_and_consistent(
+    counts: npt.NDArray[np.uint32],
+) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.uint32]]:
+    """What the plane "counts" holds: sources that see a pixel, and those that agree."""
+    return counts & np.uint32(255), counts >> np.uint32(8)
+
+
 class PassMaps:
     """The maps that a pass has written, read in any rectangle of its level."""
 
@@ -224,10 +231,9 @@ class PassMaps:
 
         None where the pass before had no pixel of the native image.
         """
-        found = self.start_rectangle(native, rectangle, level)
-        if not found.area:
+        rectangle = self.start_rectangle(native, rectangle, level)
+        if not rectangle.area:
             return None
-        rectangle = found
         known = self.has("sigma")
         return _core.StartMaps(
             level=self.level,
