@@ -257,11 +257,10 @@ class _Estimator:
         return view, [one for one in sources if one is not None]
 
     def _noise_of(self, native: NativeImage, level: int) -> npt.NDArray[np.float32]:
-        """(16,), by brightness; of the coarsest levels that of the last one known: hardly any."""
+        """(16,), by brightness."""
         if native.name not in self._noise:
             self._noise[native.name] = stored_detail(self._workspace, native).sure_noise
-        noise = self._noise[native.name]
-        of_level: npt.NDArray[np.float32] = noise[min(level, len(noise) - 1)]
+        of_level: npt.NDArray[np.float32] = self._noise[native.name][level]
         return of_level
 
     def _depth_range(self, native: NativeImage, window: Rectangle, level: int) -> DepthRange:
